@@ -185,6 +185,9 @@ class Residuals:
             self._nodes.append(key)
         return found
 
+    def __len__(self) -> int:
+        return len(self._nodes)
+
     def node(self, x: Residual) -> tuple:  # type: ignore[type-arg]
         """(kind, operands…) of a residual."""
         return self._nodes[x]

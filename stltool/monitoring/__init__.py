@@ -4,6 +4,7 @@ logs/      a trace file → signals, with a sample per step   samples    arrays 
 program    a formula → instructions                     comparisons  predicates over arrays, decided exactly
 blocks     the instructions over blocks of traces       offline    verdicts and robustness at every decided step
 online     running traces: early verdicts               early      how soon a verdict is certain: automaton, structure
+searched   ... where neither of them is exact           tied       ... where values of earlier samples matter
 stream     their state, as arrays for the kernels       intervals  the robustness that a step can still have
 smooth     log-sum-exp robustness with its enclosure    states     truth at the states of a model
 """

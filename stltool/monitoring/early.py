@@ -15,14 +15,15 @@ more small automaton keeps track of.
 sub-formula, with the samples that are still to come unknown. It is exact if every atom (maximal sub-formula without a
 temporal operator) occurs in one polarity, and all of them can be at their worst, and at their best, at once: the lower
 value is then that of one real continuation. Otherwise a verdict may come late, at the latest when all samples are
-there, never wrongly.
+there, never wrongly; then, of formulas that do not look back, the steps that it leaves open are searched for
+continuations of both verdicts (searched.py).
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, TypeAlias
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +39,7 @@ from stltool.logic.occurring import occurring, sharing
 Ints: TypeAlias = NDArray[np.int64]
 
 MOST_STATES = 5000
+LONGEST, MOST_LETTERS = 2000, 64  # horizon and letters of a search
 MOST_LEAVES = 12  # the letters are tabulated by the truth of all leaves
 _MOST_VALUATIONS = 1024
 _MOST_WORK = 20_000_000  # entries of δ looked up in closing the verdicts, at least this many per clock:
@@ -51,25 +53,27 @@ OPEN, NO, YES = 0, 1, 2
 class Early(NamedTuple):
     """How early a monitor decides: `exact` if as soon as every continuation agrees, else perhaps later, never wrongly.
 
-    engine  "automaton", or "structure" for formulas whose automaton is too large; "network" for such formulas that look
-            back without a limit, whose steps are decided when their samples are there
+    engine  "automaton", or "structure" for formulas whose automaton is too large; "search" where three-valued truth is
+            not exact, so that continuations are sought as well; "network" for formulas that look back without a limit
+            and whose automaton is too large: their steps are decided when their samples are there
     why     in words
     """
 
-    engine: Literal["automaton", "structure", "network"]
+    engine: Literal["automaton", "structure", "search", "network"]
     exact: bool
     why: str
 
 
 @dataclass(frozen=True, eq=False)
 class Engine:
-    """The tables of an engine; those of an automaton are empty for "structure".
+    """The tables of an engine; those of an automaton are empty for "structure" and "search".
 
     leaves   the labels and comparisons whose truths form the code of a letter, the first in the lowest bit
     letter   (2^n_leaves,) letters by code                      delta  (n_letters, n_states)
     starts   (n_letters, n) what is remembered when a run begins, 0 at first; begins (n,): the state in which it does
     first    (n_states,) the clock from which a state is decided, as `outcome` (n_states,) says: NO or YES
     closed   (horizon + 1, n_states) E; None if `first` and `outcome` say it all
+    atoms    (n_letters, n_atoms) bool, for "search": the truths of the formula's atoms by letter
     """
 
     early: Early
@@ -81,6 +85,7 @@ class Engine:
     first: Ints | None = None
     outcome: Ints | None = None
     closed: Ints | None = None
+    atoms: NDArray[np.bool_] | None = None
 
 
 def engine_of(phi: Formula, earlier: Collection[str] = ()) -> Engine:
@@ -110,13 +115,15 @@ def engine_of(phi: Formula, earlier: Collection[str] = ()) -> Engine:
         if engine is not None:
             return engine
         why = "the automaton of the formula is too large"
-    exact = _extremes_meet(phi, earlier)
-    why += "; " + (
-        "every predicate occurs in one polarity"
-        if exact
-        else "a predicate occurs in two polarities, or depends on another"
-    )
-    return Engine(Early("structure", exact, why))
+    if _extremes_meet(phi, earlier):
+        return Engine(Early("structure", True, f"{why}; every predicate occurs in one polarity"))
+    why += "; a predicate occurs in two polarities, or depends on another"
+    if complete and len(read) <= MOST_LEAVES and horizon(phi) <= LONGEST and not has_past(phi):
+        letters, which = np.unique(truths, axis=0, return_inverse=True)
+        if len(letters) <= MOST_LETTERS:
+            letter = _by_code(read, valuations, which.reshape(-1))
+            return Engine(Early("search", sharp, why), read, letter, atoms=letters)
+    return Engine(Early("structure", False, why))
 
 
 def _of_automaton(
@@ -136,9 +143,7 @@ def _of_automaton(
         if automaton.horizon > _LONGEST_EACH:
             return None
         closed = np.concatenate([np.tile(row, (last - first + 1, 1)) for first, last, row in reversed(runs)])
-    codes = valuations @ (1 << np.arange(len(read))) if len(read) else np.zeros(len(valuations), dtype=np.int64)
-    letter = np.zeros(1 << len(read), dtype=np.int64)
-    letter[codes] = automaton.letters_at(truths)
+    letter = _by_code(read, valuations, automaton.letters_at(truths))
     states = f"its automaton has {automaton.n_states} states"
     why = states if sharp else f"{states}; its predicates depend on each other in ways that are not examined"
     first, outcome = table if table is not None else (None, None)
@@ -148,6 +153,14 @@ def _of_automaton(
         Early("automaton", sharp, why), read, letter, automaton.delta.astype(np.int64), starts.delta.astype(np.int64),
         starts.state.astype(np.int64), first, outcome, closed,
     )  # fmt: skip
+
+
+def _by_code(read: tuple[Formula, ...], valuations: NDArray[np.bool_], letters: NDArray[np.integer[Any]]) -> Ints:
+    """The letters of valuations (n, n_leaves) by the code of their leaves."""
+    codes = valuations @ (1 << np.arange(len(read))) if len(read) else np.zeros(len(valuations), dtype=np.int64)
+    found = np.zeros(1 << len(read), dtype=np.int64)
+    found[codes] = letters
+    return found
 
 
 def _closed(automaton: TaskAutomaton) -> list[tuple[int, int, Ints]] | None:

@@ -11,7 +11,7 @@ import copy
 import itertools
 import math
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal, cast
 
@@ -37,7 +37,9 @@ from stltool.monitoring.lookback import FALSE, TRUE, Network, Value, judge_of
 from stltool.monitoring.offline import judge, judge_quickly
 from stltool.monitoring.program import Program, compile_delayed, compile_formula, formula_of_atom
 from stltool.monitoring.samples import WHOLE, WIDE, Earlier, Traces, read_traces
+from stltool.monitoring.searched import Searched
 from stltool.monitoring.starts import OpenSteps
+from stltool.monitoring.states import truth
 from stltool.monitoring.tied import Tied, tied
 
 if TYPE_CHECKING:
@@ -54,14 +56,16 @@ class OnlineMonitor(Displayed):
     violated at sample 3, is decided at sample 3. With `wait` it returns each step when its robustness is final, at
     sample step + horizon: these decisions are, bit for bit, those of `monitor` with end "error".
 
-    early    which engine decides, and whether it is exact: "automaton"; "structure" where that would be too large; or
-             "network", if such a formula looks back without a limit: steps are then decided at sample step + horizon
+    early    which engine decides, and whether it is exact: "automaton"; "structure" where that would be too large;
+             "search" where the structure is not exact, which may take a millisecond a sample; or "network", if such a
+             formula looks back without a limit: steps are then decided at sample step + horizon
     n_steps  the number of samples read
 
     Raises StlSyntaxError if an interval of the future has no end.
     """
 
     _tied: Tied | None = None
+    _searched: Searched | None = None
 
     def __new__(cls, phi: Formula | Task | None = None, wait: bool = False) -> OnlineMonitor:
         # a part that looks back without a limit is enough, even if nothing depends on it: the left side of since[0,0]
@@ -96,6 +100,9 @@ class OnlineMonitor(Displayed):
         if self._tied is not None:
             why = self.early.why.partition(";")[0] + "; the values of earlier samples are taken into account"
             self.early = Early("automaton", True, why)
+        if engine.atoms is not None and not self.wait:
+            self._searched = Searched(self._judged, engine.atoms, self.horizon)
+            self._letter = engine.letter
         self._leaves = engine.leaves
         self._stream = Stream(self._program, engine, self.horizon, self.wait)
         self._enclosure: Enclosure | None = None
@@ -118,7 +125,7 @@ class OnlineMonitor(Displayed):
         """
         from stltool.kernels.objects import bound
 
-        if self._stream.given or self._delays or not self._stream.names:
+        if self._stream.given or self._delays or self._searched is not None or not self._stream.names:
             return
         types = dict, float, bool, True, False, None, Decision, Decisions
         doc = f"feed(sample)\n--\n\n{OnlineMonitor.feed.__doc__}"
@@ -148,7 +155,8 @@ class OnlineMonitor(Displayed):
     @property
     def nbytes(self) -> int:
         """Memory of what is kept: bounded by the horizon, and by the samples so far."""
-        return self._stream.N.nbytes + self._stream.F.nbytes + self._stream.B.nbytes
+        searched = 0 if self._searched is None else self._searched.nbytes
+        return self._stream.N.nbytes + self._stream.F.nbytes + self._stream.B.nbytes + searched
 
     def feed(self, sample: Mapping[str, Any]) -> list[Decision] | Decisions:
         """Take the next sample, a value for every name of φ; returns the decisions that it yields, a sequence by step.
@@ -254,7 +262,26 @@ class OnlineMonitor(Displayed):
 
     def _decided(self, code: int) -> list[Decision] | Decisions:
         """The decisions that reading a sample has yielded."""
+        if self._searched is not None:
+            return [*self._decided_by_search(self._searched, self._of_code(code), 1)]
         return self._of_code(code) if self._tied is None else self._decided_by_values(self._tied, code)
+
+    def _decided_by_search(self, searched: Searched, decided: Iterable[Decision], n: int) -> list[Decision]:
+        """The decisions after n new samples, of which the kernel has some, perhaps for the second time."""
+        if n == 1:
+            rows = [self._stream.truths(self._leaves)]
+        else:
+            kept = self._stream.kept()[-n:]
+            columns = {name: kept[:, i] for i, name in enumerate(self._stream.names)}
+            labels = {name: columns[name] != 0 for name in self._program.labels}
+            rows = np.stack([truth(leaf, columns, labels, len(kept)) for leaf in self._leaves], axis=1).tolist()
+        codes = [sum(holds << i for i, holds in enumerate(row)) for row in rows]
+        assert self._letter is not None
+        told = [one for one in decided if searched.verdict(one.step) is None]
+        found = searched.read(self._letter[codes], n, {one.step for one in told})
+        if self.early.exact and not searched.exact:
+            self.early = Early("search", False, f"{self.early.why}; a search was cut off at step {self.n_steps - 1}")
+        return sorted([*told, *(Decision(step, verdict, None) for step, verdict in found)])
 
     def _decided_by_values(self, tied: Tied, code: int) -> list[Decision]:
         """The same, if the values of earlier samples decide, too."""
@@ -268,7 +295,8 @@ class OnlineMonitor(Displayed):
 
     def _verdict(self, step: int) -> bool | None:
         """The verdict of one of the last steps, if it is decided."""
-        found = None if self._tied is None else self._tied.verdict(step)
+        more = self._tied or self._searched
+        found = None if more is None else more.verdict(step)
         return self._stream.verdict(step) if found is None else found
 
     def _undecided(self, first: int) -> list[int]:
@@ -358,6 +386,14 @@ class OnlineMonitor(Displayed):
         return _decisions([d.step for d in decisions], [d.verdict for d in decisions], robustness)
 
     def _feed_block(self, block: Mapping[str, Any]) -> Decisions:
+        n = self.n_steps
+        found = self._read_block(block)
+        if self._searched is None or self.n_steps == n:
+            return found
+        decisions = self._decided_by_search(self._searched, found, self.n_steps - n)
+        return _decisions([d.step for d in decisions], [d.verdict for d in decisions], [math.nan] * len(decisions))
+
+    def _read_block(self, block: Mapping[str, Any]) -> Decisions:
         n = self.n_steps
         traces = read_traces(self._program, block, n)
         if traces.batch:

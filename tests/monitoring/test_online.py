@@ -46,10 +46,11 @@ from stltool.logic.formula import (
     lookback,
     variables,
 )  # fmt: skip
-from stltool.monitoring import Decision, early, starts, stream
+from stltool.monitoring import Decision, early, searched, starts, stream
 from stltool.monitoring import online as online_module
 from stltool.testing import formulas, traces
 from tests.conftest import many
+from tests.diagnosis.test_causes import CASES, random_formula
 
 
 def looking_back(**options):
@@ -379,8 +380,10 @@ def test_the_example_of_the_documentation():
 # ------------------------------------------------------------------------------------------------ the structure
 
 
-def structural(monkeypatch):
+def structural(monkeypatch, search=False):
     monkeypatch.setattr(early, "_of_automaton", lambda *arguments: None)
+    if not search:
+        monkeypatch.setattr(early, "LONGEST", -1)
 
 
 def kleene(phi, trace, t, n):
@@ -484,8 +487,9 @@ def test_what_is_said_about_exactness():
     large = "G[0,1000] (x > 5 -> F[0,100] (y > 3 & G[0,20] {}))"
     assert stl.OnlineMonitor(stl.parse(large.format("p"))).early[:2] == ("structure", True)
     mixed = stl.OnlineMonitor(stl.parse(large.format("x > 4"))).early
-    assert mixed[:2] == ("structure", False)
+    assert mixed[:2] == ("search", True)
     assert "depends on another" in mixed.why
+    assert stl.OnlineMonitor(stl.parse(large.format("x > 4").replace("1000", "5000"))).early[:2] == ("structure", False)
     for text in ("F[0,2] x * x > 4 | G[0,3] x ^ 3 <= 8", "G[0,3] (x * x[t-1] <= 1) & F[0,2] x > 3"):
         assert stl.OnlineMonitor(stl.parse(text)).early[:2] == ("automaton", False)
     many_labels = " & ".join(f"F[0,2] p{i}" for i in range(13))
@@ -504,6 +508,78 @@ def test_long_windows_are_given_up_before_they_take_long(monkeypatch):
         found = stl.OnlineMonitor(stl.parse(text)).early
         assert found[:2] == ("structure", True)
         assert "too large" in found.why
+
+
+# ------------------------------------------------------------------------------------------------------- the search
+
+
+@pytest.mark.parametrize("text", TRICKY + DEPENDENT[:-1])
+def test_the_search_decides_as_soon_as_all_continuations_agree(text, monkeypatch):
+    structural(monkeypatch, search=True)
+    phi = stl.parse(text)
+    few = {"x": (-2.0, 0.0, 0.5, 1.0, 2.0, 2.5, 4.0)}
+    cells = few | {"y": few["x"]} if "y" in text else CELLS
+    names = [name for name in cells if name in text] or ["p"]
+    values, rng = {name: cells[name] for name in names}, np.random.default_rng(len(text))
+    for _ in range(1 if "y" in text else 4):
+        online = stl.OnlineMonitor(phi)
+        trace = {name: rng.choice(values[name], 5 if "y" in text else 12).tolist() for name in names}
+        assert fed(online, trace) == earliest(phi, trace, values)
+        assert online.early.engine in ("search", "structure")
+        assert online.early.exact
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("most", [500, 1])
+def test_any_formula_is_searched_for_continuations_of_both_verdicts(most, monkeypatch):
+    structural(monkeypatch, search=True)
+    monkeypatch.setattr(searched, "_MOST_VISITED", most)
+    rng, exact, sooner = np.random.default_rng(most), 0, 0
+    for texts, values, n in (CASES[0], CASES[2], CASES[3]):
+        atoms = [stl.parse(text) for text in texts]
+        for _ in range(cases := max(40, many(60))):
+            phi = random_formula(rng, atoms, int(rng.integers(2, 5)), n - 1)
+            names = sorted({*variables(phi), *label_names(phi)})
+            trace = {name: rng.choice(values[name], 9).tolist() for name in names}
+            online = stl.OnlineMonitor(phi)
+            found = fed(online, trace)
+            wanted = earliest(phi, trace, {name: values[name] for name in names})
+            assert not online.early.exact or found == wanted
+            assert all(
+                found[t][0] >= end and found[t][1] == verdict for t, (end, verdict) in wanted.items() if t in found
+            )
+            with pytest.MonkeyPatch.context() as patch:
+                structural(patch)
+                plain = fed(stl.OnlineMonitor(phi), trace)
+            assert all(found[t][0] <= end for t, (end, _) in plain.items())
+            sooner += any(found[t][0] < end for t, (end, _) in plain.items())
+            exact += online.early.exact
+    assert sooner
+    assert exact == 3 * cases if most > 1 else 0 < exact < 3 * cases
+
+
+def test_a_search_in_blocks_and_with_copies(monkeypatch):
+    structural(monkeypatch, search=True)
+    rng = np.random.default_rng(0)
+    for text in (TRICKY[3], TRICKY[7], "F[0,9] (x > 3) -> F[0,7] (x > 2)"):
+        phi = stl.parse(text)
+        names = {*variables(phi), *label_names(phi)}
+        trace = {name: rng.integers(0, 5 if name == "x" else 2, 150).astype(float) for name in names}
+        single, blocks, so_far, told = stl.OnlineMonitor(phi), stl.OnlineMonitor(phi), set(), set()
+        for start, end in itertools.pairwise([0, 1, 2, 9, 10, 20, 21, 24, 140, 150]):
+            for t in range(start, end):
+                so_far |= {d[:2] for d in single.feed({name: values[t] for name, values in trace.items()})}
+            found = blocks.feed({name: values[start:end] for name, values in trace.items()})
+            assert [d.step for d in found] == sorted({d.step for d in found} - {step for step, _ in told})
+            told |= {d[:2] for d in found}
+            assert told == so_far
+            single = pickle.loads(pickle.dumps(single))
+            assert {d.step for d in single.finish()} == {*range(end)} - {step for step, _ in told}
+            for step in range(max(0, end - stl.horizon(phi)), end):
+                lower, upper = single.bounds(step)
+                assert (step, True) not in told or lower >= 0
+                assert (step, False) not in told or upper <= 0
+        assert single.early.exact
 
 
 # ------------------------------------------------------------------------------------------------ bounds and blocks
