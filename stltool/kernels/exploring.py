@@ -18,11 +18,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.kernels import jit
+from stltool.kernels.lanes import add, at, first_equal, greater, greatest, load, mul, select, splat, splat_at
 from stltool.kernels.rollout import inversion
-from stltool.kernels.tuples import Rules, Tables, Walked, one_state, room_of, route_of, with_entries
+from stltool.kernels.tuples import (
+    Rules,
+    Tables,
+    Walked,
+    chart_of,
+    one_state,
+    room_of,
+    route_of,
+    with_children,
+    with_entries,
+)
 
 F64: TypeAlias = NDArray[np.float64]
 I32: TypeAlias = NDArray[np.int32]
+I64: TypeAlias = NDArray[np.int64]
 
 kernel = functools.partial(jit.kernel, counts=False)
 part = functools.partial(jit.part, counts=False)
@@ -65,162 +77,231 @@ def count(walked: Any, route: Any, c: Any, s2: Any, weight: float) -> bool:
 
 
 @part
-def rows(rules: Any, walked: Any, room: Any, level: float) -> None:
-    """Each choice's chances, with hope at that level (its logarithm), and each state's different successors."""
-    known = room.memo
-    known[:] = -1.0
-    n_states = len(rules.letter)
-    place, k = room.place, 0
+def columns(rules: Any, walked: Any, chart: Any, room: Any) -> bool:
+    """Lay the rows out in columns; whether each state has the successors that it had before."""
+    same, k, column = bool(chart.stamp[0] >= 0), 0, 0
+    used, where, n_states = room.used, room.where, len(rules.letter)
+    used[:] = -1
     for s in range(n_states):
-        room.begin[s] = k
-        for c in range(rules.first_choice[s], rules.first_choice[s + 1]):
-            n = walked.visits[c]
-            if n == 0:
-                continue
-            if n >= len(known):
-                hope = 1.0 - math.exp(level / n)
-            else:
-                if known[n] < 0.0:
-                    known[n] = 1.0 - math.exp(level / n)
-                hope = known[n]
-            total = 0.0
-            for e in range(walked.start[c], walked.start[c + 1]):
-                total += walked.weight[e]
-                s2 = walked.target[e]
-                if place[s2] < 0:
-                    place[s2] = k - room.begin[s]
-                    room.successors[k] = s2
-                    k += 1
-                room.slot[e] = place[s2]
-            room.outside[c] = hope
-            share = (1.0 - hope) / total
-            for e in range(walked.start[c], walked.start[c + 1]):
-                room.probability[e] = walked.weight[e] * share
-        for i in range(room.begin[s], k):
-            place[room.successors[i]] = -1
-    room.begin[n_states] = k
+        first, after, begin = rules.first_choice[s], rules.first_choice[s + 1], k
+        for e in range(walked.start[first], walked.start[after]):
+            s2 = np.int64(walked.target[e])
+            if used[s2] < 0:  # into its place, which is near the end: each choice's are ascending
+                used[s2], i = 0, k
+                while i > begin and room.successors[i - 1] > s2:
+                    room.successors[i] = room.successors[i - 1]
+                    i -= 1
+                room.successors[i] = s2
+                k += 1
+        same = same and chart.begin[s] == begin
+        chart.begin[s] = begin
+        for i in range(begin, k):
+            same = same and chart.successors[i] == room.successors[i]
+            chart.successors[i] = room.successors[i]
+        block = chart.block[s]
+        for c in range(first, after, 16):
+            last = min(c + 16, after)
+            for e in range(walked.start[c], walked.start[last]):
+                used[walked.target[e]] = c + 1
+            chart.column[block] = column
+            block += 1
+            for i in range(begin, k):
+                s2 = np.int64(chart.successors[i])
+                if used[s2] == c + 1:
+                    chart.slot[column], where[s2] = i - begin, column
+                    room.probability[16 * column : 16 * column + 16] = 0.0
+                    column += 1
+            for d in range(c, last):
+                for e in range(walked.start[d], walked.start[d + 1]):
+                    chart.cell[e] = 16 * where[walked.target[e]] + (d - c)
+        for i in range(begin, k):
+            used[chart.successors[i]] = -1
+    chart.column[-1] = column
+    same = same and chart.begin[n_states] == k
+    chart.begin[n_states] = k
+    return bool(same)
 
 
 @part
-def spread(rules: Any, route: Any, room: Any, since: int, s: Any, q: Any) -> None:
-    """The situations that the transitions lead to from there."""
-    h = len(rules.worth)
-    route.group[since:] = -1
+def rows(walked: Any, chart: Any, room: Any, level: float) -> None:
+    """Each choice's chances, with hope at that level (its logarithm)."""
+    known = room.memo
+    known[:] = -1.0
+    for c in range(len(walked.visits)):
+        n, lane = walked.visits[c], chart.lane[c]
+        if n == 0:
+            room.hope[lane], room.fresh[lane] = 0.0, 1.0
+            continue
+        if n >= len(known):
+            hope = 1.0 - math.exp(level / n)
+        else:
+            if known[n] < 0.0:
+                known[n] = 1.0 - math.exp(level / n)
+            hope = known[n]
+        total = 0.0
+        for e in range(walked.start[c], walked.start[c + 1]):
+            total += walked.weight[e]
+        room.hope[lane], room.fresh[lane] = hope, 0.0
+        share = (1.0 - hope) / total
+        for e in range(walked.start[c], walked.start[c + 1]):
+            room.probability[chart.cell[e]] = walked.weight[e] * share
+
+
+@part
+def spread(rules: Any, walked: Any, route: Any, chart: Any, room: Any, since: int, s: Any, q: Any) -> bool:
+    """The situations that the transitions lead to from there; whether there was room for all their children."""
+    h, unseen, letters, memories = len(rules.worth), room.unseen, len(rules.occurring), len(room.peak_mark)
+    unseen[:] = False
+    for i in range(len(walked.known)):
+        unseen[rules.letter[i]] |= not walked.known[i]
+    route.group[:] = -1
     route.group[since, s] = 0
-    route.first[0], route.first[1] = 0, 1
-    room.touched[0], room.layer[since], room.layer[since + 1] = s, 0, 1
-    route.memory[0] = q
-    groups, n = 1, 1
+    route.first[0], route.first[1], route.memory[0] = 0, 1, q
+    chart.touched[0], chart.layer[since], chart.layer[since + 1] = s, 0, 1
+    chart.kind[0], chart.kinds[since], chart.kinds[since + 1], chart.peaks[since] = 1, 1, 2, 0
+    groups, n, kinds, peaks, children = 1, 1, 2, 0, 0
     for t in range(since, h):
         route.counter[1] += 1
         tick, verdict = route.counter[1], rules.verdicts[t + 1]
-        for g in range(room.layer[t], room.layer[t + 1]):
-            s = room.touched[g]
-            for k in range(room.begin[s], room.begin[s + 1]):
-                s2 = room.successors[k]
-                after, mark, pending = rules.delta[rules.letter[s2]], room.mark[s2], room.pending[s2]
-                for i in range(route.first[g], route.first[g + 1]):
-                    q2 = after[route.memory[i]]
-                    if verdict[q2] < 0 and mark[q2] != tick:
-                        mark[q2] = tick
-                        if room.n_pending[s2] == 0:
-                            room.touched[groups] = s2
-                            groups += 1
-                        pending[room.n_pending[s2]] = q2
-                        room.n_pending[s2] += 1
-        for g in range(room.layer[t + 1], groups):
-            s2 = room.touched[g]
+        before = children
+        for g in range(chart.layer[t], chart.layer[t + 1]):
+            s = chart.touched[g]
+            begin, end = chart.begin[s], chart.begin[s + 1]
+            if children + (route.first[g + 1] - route.first[g]) * (end - begin) > len(chart.child):
+                return False
+            for i in range(route.first[g], route.first[g + 1]):
+                q = np.int64(route.memory[i])
+                for k in range(begin, end):
+                    s2 = np.int64(chart.successors[k])
+                    q2 = np.int64(rules.delta[rules.letter[s2], q])
+                    child = np.int64(verdict[q2])
+                    if child < 0:
+                        pair = s2 * memories + q2
+                        child = 2 + pair
+                        if room.mark[pair] != tick:
+                            room.mark[pair] = tick
+                            if room.n_pending[s2] == 0:
+                                chart.touched[groups] = s2
+                                groups += 1
+                            room.pending[s2, room.n_pending[s2]] = q2
+                            room.n_pending[s2] += 1
+                    chart.child[children] = child
+                    children += 1
+        for g in range(chart.layer[t + 1], groups):
+            s2 = chart.touched[g]
+            letter = rules.letter[s2]
             route.group[t + 1, s2] = g
             for i in range(room.n_pending[s2]):
-                route.memory[n] = room.pending[s2, i]
+                q2 = room.pending[s2, i]
+                if room.kind_mark[letter, q2] != tick:
+                    room.kind_mark[letter, q2], room.kind_number[letter, q2] = tick, kinds
+                    kinds += 1
+                route.memory[n], room.number[s2 * memories + q2] = q2, n
+                chart.kind[n] = room.kind_number[letter, q2]
                 n += 1
             room.n_pending[s2] = 0
             route.first[g + 1] = n
         if t + 1 < h:
-            room.layer[t + 2] = groups
+            chart.layer[t + 2], chart.kinds[t + 2] = groups, kinds
+        for m in range(before, children):
+            if chart.child[m] > 1:
+                chart.child[m] = 2 + room.number[chart.child[m] - 2]
+        for i in range(route.first[chart.layer[t]], route.first[chart.layer[t + 1]]):
+            q = np.int64(route.memory[i])
+            if room.peak_mark[q] != tick:
+                room.peak_mark[q], room.peak_number[q] = tick, peaks
+                basis = 0.0
+                for j in range(letters):
+                    letter = rules.occurring[j]
+                    q2, feed = np.int64(rules.delta[letter, q]), np.int64(0)
+                    if verdict[q2] == 1:
+                        basis = 1.0
+                    elif verdict[q2] < 0:
+                        if unseen[letter]:
+                            basis = max(basis, rules.worth[t + 1])
+                        if room.kind_mark[letter, q2] == tick:
+                            feed = np.int64(room.kind_number[letter, q2])
+                    chart.feeds[peaks * letters + j] = feed
+                chart.basis[peaks] = basis
+                peaks += 1
+            chart.peak[i] = room.peak_number[q]
+        chart.peaks[t + 1] = peaks
+    return True
+
+
+@part
+def sweep(rules: Any, route: Any, chart: Any, room: Any, since: int) -> None:
+    """Backward induction over the chart's situations, sixteen choices at once."""
+    letters, value, best, child = len(rules.occurring), room.value, room.best, chart.child
+    probability, column, slot = room.probability, chart.column, chart.slot
+    h, m = len(rules.worth), 0
+    value[0], value[1], best[0] = 0.0, 1.0, 0.0
+    for g in range(chart.layer[h]):
+        s = chart.touched[g]
+        m += (route.first[g + 1] - route.first[g]) * (chart.begin[s + 1] - chart.begin[s])
+    for t in range(h - 1, since - 1, -1):
+        worth, worths = rules.worth[t], splat(rules.worth[t])
+        for peak in range(chart.peaks[t], chart.peaks[t + 1]):
+            most = chart.basis[peak]
+            for j in range(peak * letters, (peak + 1) * letters):
+                most = max(most, best[chart.feeds[j]])
+            room.top[peak] = min(most, worth)
+        best[chart.kinds[t] : chart.kinds[t + 1]] = 0.0
+        for g in range(chart.layer[t + 1] - 1, chart.layer[t] - 1, -1):
+            s, low, high = chart.touched[g], route.first[g], route.first[g + 1]
+            first, last, choices = chart.block[s], chart.block[s + 1], rules.first_choice[s + 1] - rules.first_choice[s]
+            children = chart.begin[s + 1] - chart.begin[s]
+            m -= (high - low) * children
+            for i in range(low, high):
+                tops, here, most, which = splat(room.top[chart.peak[i]]), m + (i - low) * children, -1.0, 0
+                for b in range(first, last):
+                    one, more, lane = splat(0.0), splat(0.0), 16 * b
+                    if choices - 16 * (b - first) > 8:
+                        for k in range(column[b], column[b + 1]):
+                            worth_of = splat_at(value, np.int64(at(child, here + np.int64(at(slot, k)))))
+                            one = add(one, mul(load(probability, 16 * k), worth_of))
+                            more = add(more, mul(load(probability, 16 * k + 8), worth_of))
+                        more = add(more, mul(load(room.hope, lane + 8), tops))
+                        more = add(more, mul(load(room.fresh, lane + 8), worths))
+                    else:
+                        for k in range(column[b], column[b + 1]):
+                            worth_of = splat_at(value, np.int64(at(child, here + np.int64(at(slot, k)))))
+                            one = add(one, mul(load(probability, 16 * k), worth_of))
+                    one = add(one, mul(load(room.hope, lane), tops))
+                    one = add(one, mul(load(room.fresh, lane), worths))
+                    dearest = greatest(select(greater(more, one), more, one))
+                    if dearest > most:
+                        most = dearest
+                        which = lane - 16 * first + min(first_equal(one, most), 8 + first_equal(more, most))
+                value[2 + i] = most
+                route.choice[i] = which if most > 0.0 else _LOST
+                best[chart.kind[i]] = max(best[chart.kind[i]], most)
 
 
 @kernel
-def plan(rules: Any, walked: Any, route: Any, room: Any, level: float, since: int, s: Any, q: Any) -> None:
-    """The best choices from there, by the belief at that level of hope (its logarithm)."""
+def plan(
+    rules: Any, walked: Any, route: Any, chart: Any, room: Any, level: float, since: int, s: Any, q: Any
+) -> bool:  # fmt: skip
+    """The best choices from there, by the belief at that level of hope (its logarithm); False if the chart has too
+    little room for children."""
+    stamp, entries, known = chart.stamp, walked.start[-1], 0
+    for one in walked.known:
+        known += one
+    if stamp[0] != entries:
+        if not columns(rules, walked, chart, room):
+            stamp[1] = -1
+        stamp[0] = entries
+    if stamp[1] != known or stamp[2] != since or stamp[3] != s or stamp[4] != q:
+        stamp[1] = -1
+        if not spread(rules, walked, route, chart, room, since, s, q):
+            for x in range(len(room.n_pending)):
+                room.n_pending[x] = 0
+            return False
+        stamp[1], stamp[2], stamp[3], stamp[4] = known, since, s, q
     route.counter[0] += 1
-    rows(rules, walked, room, level)
-    spread(rules, route, room, since, s, q)
-    unseen = room.unseen
-    unseen[:] = False
-    for i in range(len(walked.known)):
-        unseen[rules.letter[i]] |= not walked.known[i]
-    best, top, tops, which, ahead = room.lines[0], room.lines[1], room.lines[2], room.which, room.ahead
-    tick, topped = route.counter[1], room.topped
-    route.counter[1] += len(rules.worth)
-    for t in range(len(rules.worth) - 1, since - 1, -1):
-        later, now, tick = (t + 1) % 2, t % 2, tick + 1
-        verdict, worth = rules.verdicts[t + 1], rules.worth[t]
-        for g in range(room.layer[t], room.layer[t + 1]):
-            s, low = room.touched[g], route.first[g]
-            n = route.first[g + 1] - low
-            for j in range(n):
-                q = route.memory[low + j]
-                if topped[q] != tick:
-                    topped[q] = tick
-                    most = 0.0
-                    for letter in rules.occurring:
-                        q2 = rules.delta[letter, q]
-                        if verdict[q2] == 1:
-                            most = 1.0
-                        elif verdict[q2] < 0:
-                            if unseen[letter]:
-                                most = max(most, rules.worth[t + 1])
-                            if room.best_mark[letter, q2] == tick - 1:
-                                most = max(most, room.best[later, letter, q2])
-                    tops[q] = min(most, worth)
-                top[j] = tops[q]
-            first = room.begin[s]
-            for k in range(room.begin[s + 1] - first):
-                s2 = room.successors[first + k]
-                after, values, line = rules.delta[rules.letter[s2]], room.value[later, s2], ahead[k]
-                for j in range(n):
-                    q2 = after[route.memory[low + j]]
-                    line[j] = values[q2] if verdict[q2] < 0 else float(verdict[q2])
-            begin, end = rules.first_choice[s], rules.first_choice[s + 1]
-            for j in range(0, n, 4):  # four at once: the lines are long enough
-                b0, b1, b2, b3 = -1.0, -1.0, -1.0, -1.0
-                w0, w1, w2, w3 = begin, begin, begin, begin
-                for c in range(begin, end):
-                    t0, t1, t2, t3 = 0.0, 0.0, 0.0, 0.0
-                    if walked.visits[c] == 0:
-                        t0 = t1 = t2 = t3 = worth
-                    else:
-                        for i in range(walked.start[c], walked.start[c + 1]):
-                            p, line = room.probability[i], ahead[room.slot[i]]
-                            t0 += p * line[j]
-                            t1 += p * line[j + 1]
-                            t2 += p * line[j + 2]
-                            t3 += p * line[j + 3]
-                        lost = room.outside[c]
-                        t0 += lost * top[j]
-                        t1 += lost * top[j + 1]
-                        t2 += lost * top[j + 2]
-                        t3 += lost * top[j + 3]
-                    if t0 > b0:
-                        b0, w0 = t0, c
-                    if t1 > b1:
-                        b1, w1 = t1, c
-                    if t2 > b2:
-                        b2, w2 = t2, c
-                    if t3 > b3:
-                        b3, w3 = t3, c
-                best[j], best[j + 1], best[j + 2], best[j + 3] = b0, b1, b2, b3
-                which[j], which[j + 1], which[j + 2], which[j + 3] = w0 - begin, w1 - begin, w2 - begin, w3 - begin
-            mine, letter = room.value[now, s], rules.letter[s]
-            for j in range(n):
-                q = route.memory[low + j]
-                mine[q] = best[j]
-                route.choice[low + j] = which[j] if best[j] > 0.0 else _LOST
-                if room.best_mark[letter, q] != tick:
-                    room.best_mark[letter, q], room.best[now, letter, q] = tick, best[j]
-                else:
-                    room.best[now, letter, q] = max(room.best[now, letter, q], best[j])
+    rows(walked, chart, room, level)
+    sweep(rules, route, chart, room, since)
+    return True
 
 
 @part
@@ -264,12 +345,11 @@ def told(rules: Any, walked: Any, route: Any, t: int, s: Any, q: Any, chance: fl
 
 @kernel
 def choose(
-    rules: Any, walked: Any, route: Any, room: Any, level: float, t: int, s: Any, q: Any, chance: float
+    rules: Any, walked: Any, route: Any, chart: Any, room: Any, level: float, t: int, s: Any, q: Any, chance: float
 ) -> int:  # fmt: skip
-    """What to do while the task is open."""
+    """What to do while the task is open; −1 if the chart has too little room for children."""
     a = told(rules, walked, route, t, s, q, chance)
-    if a < 0:
-        plan(rules, walked, route, room, level, t, s, q)
+    if a < 0 and plan(rules, walked, route, chart, room, level, t, s, q):
         a = told(rules, walked, route, t, s, q, chance)
     return int(a)
 
@@ -289,25 +369,29 @@ def aftermath(rules: Any, walked: Any, s: Any, stuck: bool, enough: int, chance:
 
 @kernel
 def episode(
-    env: Any, rules: Any, walked: Any, route: Any, room: Any, level: float, enough: int, q: Any,
+    env: Any, rules: Any, walked: Any, route: Any, chart: Any, room: Any, level: float, enough: int, here: I64,
     moves: F64, chances: F64, weights: F64, states: I32, actions: I32,
-) -> int:  # fmt: skip
-    """A whole episode of at most len(actions) steps from states[0] with memory q: how many there are.
+) -> bool:  # fmt: skip
+    """The rest of an episode of at most len(actions) steps; False if the chart has too little room for children.
 
+    here (4,): its step, memory and verdict, and whether the last step led nowhere; it is left where it ends
     states (n+1,) and actions (n,) are filled.
     """
-    s, verdict, stuck = np.int64(states[0]), rules.verdicts[0, q], False
-    if verdict < 0:
-        plan(rules, walked, route, room, level, 0, s, q)
-    for t in range(len(actions)):
-        if verdict == 1:
-            return t
+    t, q, verdict, stuck = here[0], here[1], here[2], here[3] == 1
+    s = np.int64(states[t])
+    if t == 0 and verdict < 0 and not plan(rules, walked, route, chart, room, level, 0, s, q):
+        return False
+    fits = True
+    while t < len(actions) and verdict != 1:
         if verdict == 0:
             a = aftermath(rules, walked, s, stuck, enough, chances[t])
             if a < 0:
-                return t
+                break
         else:
-            a = choose(rules, walked, route, room, level, t, s, q, chances[t])
+            a = choose(rules, walked, route, chart, room, level, t, s, q, chances[t])
+            if a < 0:
+                fits = False
+                break
         c = rules.first_choice[s] + a
         lo, hi = env.row_start[c], env.row_start[c + 1]
         s2 = np.int64(env.target[inversion(env.sums, lo, hi, moves[t] * env.sums[hi - 1])])
@@ -315,9 +399,11 @@ def episode(
         stuck = s2 == s
         s, q = s2, np.int64(rules.delta[rules.letter[s2], q])
         states[t + 1], actions[t] = s, a
+        t += 1
         if verdict < 0:
-            verdict = rules.verdicts[t + 1, q]
-    return len(actions)
+            verdict = np.int64(rules.verdicts[t, q])
+    here[0], here[1], here[2], here[3] = t, q, verdict, 1 if stuck else 0
+    return fits
 
 
 def warm_up() -> None:
@@ -328,12 +414,13 @@ def warm_up() -> None:
     walked = Walked(
         np.zeros(2, np.int64), whole, np.zeros(4, np.int32), np.zeros(4, np.int64), np.zeros(4), np.zeros(1, np.bool_)
     )
-    route, room = route_of(1, 1, 1, 1), with_entries(room_of(1, 1, 1, 1, 1), 4)
+    route = route_of(1, 1, 1, 1)
+    chart, room = with_entries(with_children(chart_of(1, 1, places, 1)), room_of(1, 1, 1, 1, 1), 4)
     env = Tables(*one_state(), np.ones(1), np.ones(1))
-    states, actions = np.zeros(2, dtype=np.int32), np.zeros(1, dtype=np.int32)
+    states, actions, here = np.zeros(2, dtype=np.int32), np.zeros(1, dtype=np.int32), np.array([0, 0, -1, 0])
     believe(walked, one)
-    plan(rules, walked, route, room, -1.0, 0, 0, 0)
-    episode(env, rules, walked, route, room, -1.0, 1, 0, one, one, one, states, actions)
-    choose(rules, walked, route, room, -1.0, 0, 0, 0, 0.5)
+    plan(rules, walked, route, chart, room, -1.0, 0, 0, 0)
+    episode(env, rules, walked, route, chart, room, -1.0, 1, here, one, one, one, states, actions)
+    choose(rules, walked, route, chart, room, -1.0, 0, 0, 0, 0.5)
     count(walked, route, 0, 0, 1.0)
     aftermath(rules, walked, 0, True, 1, 0.5)

@@ -105,38 +105,74 @@ class Route(NamedTuple):
     counter: NDArray[np.int64]
 
 
-class Room(NamedTuple):
-    """Where a plan is computed; nothing in it outlasts that, but marks that are smaller than the counter's.
+class Chart(NamedTuple):
+    """Where transitions lead from one situation on; it holds for all plans from there until they lead elsewhere.
 
-    probability (entries,), outside (choices,)   rows with hope
-    successors (entries,) of states, begin (S+1,); slot (entries,): an entry's place among its state's successors
-    value (2, S, Q), best (2, letters, Q) by memory and the letter read into it; mark, best_mark: whether they are set
-    pending (S, Q), n_pending (S,)   memories of the next step by state
-    touched, layer       the state of each group; the first group of each step
-    place (S,), topped (Q,), ahead (S, Q), lines (4, Q), which (Q,)   for one state, step or group
+    Choices stand in blocks of sixteen, those of a state in blocks of their own: lane[c] = 16 · block + place. A block
+    has a column for each state that one of its choices leads to, ascending.
+
+    stamp (5,): numbers of entries and of known states, and step, state and memory, for which it was made
+    block (S+1,), lane (choices,), by state and choice          begin (S+1,), successors (entries,) of states, ascending
+    column (blocks+1,), slot (entries,): each column's successor, counted from its state's first
+    cell (entries,): where an entry's probability stands, 16 · column + place
+
+    touched (h·S,) and layer (h+2,): the state of each group, the first group of each step
+    child (n,): what each situation's successors are worth: 0 or 1, or 2 + a situation
+    kind (situations,): its letter and memory, by number from 1; kinds (h+2,): the first of each step
+    peak (situations,): its step and memory, by number; peaks (h+1,): the first of each step
+    basis (peaks,), feeds (peaks · occurring letters,): which states may be entered from there: a least worth, and kinds
+    """
+
+    stamp: NDArray[np.int64]
+    block: NDArray[np.int64]
+    lane: NDArray[np.int64]
+    begin: NDArray[np.int64]
+    successors: NDArray[np.int32]
+    column: NDArray[np.int64]
+    slot: NDArray[np.int32]
+    cell: NDArray[np.int64]
+    touched: NDArray[np.int64]
+    layer: NDArray[np.int64]
+    child: NDArray[np.int32]
+    kind: NDArray[np.int32]
+    kinds: NDArray[np.int64]
+    peak: NDArray[np.int32]
+    peaks: NDArray[np.int64]
+    basis: NDArray[np.float64]
+    feeds: NDArray[np.int32]
+
+
+class Room(NamedTuple):
+    """Where a chart and a plan are computed; nothing in it outlasts that, but marks smaller than the counter's.
+
+    probability (entries · 16,), by columns; hope, fresh (blocks · 16,): what leads outside of choices tried, untried
+    value (2 + situations,), best (kinds,), top (peaks,)
     memo (n,), unseen (letters,)     hope by visits; whether a state of that letter was never seen
+    used, where (S,), successors (entries,)   marks of states, and their places; states, sorted
+    mark, number (S · Q,)            marks of situations of the next step, and their numbers
+    kind_mark, kind_number (letters, Q), peak_mark, peak_number (Q,)   the same of kinds and peaks
+    pending (S, Q), n_pending (S,)   memories of the next step by state
     """
 
     probability: NDArray[np.float64]
-    outside: NDArray[np.float64]
-    slot: NDArray[np.int32]
-    successors: NDArray[np.int32]
-    begin: NDArray[np.int64]
+    hope: NDArray[np.float64]
+    fresh: NDArray[np.float64]
     value: NDArray[np.float64]
     best: NDArray[np.float64]
-    mark: NDArray[np.int64]
-    best_mark: NDArray[np.int64]
-    pending: NDArray[np.int32]
-    n_pending: NDArray[np.int64]
-    touched: NDArray[np.int64]
-    layer: NDArray[np.int64]
-    place: NDArray[np.int64]
-    topped: NDArray[np.int64]
-    ahead: NDArray[np.float64]
-    lines: NDArray[np.float64]
-    which: NDArray[np.int32]
+    top: NDArray[np.float64]
     memo: NDArray[np.float64]
     unseen: NDArray[np.bool_]
+    used: NDArray[np.int64]
+    where: NDArray[np.int64]
+    successors: NDArray[np.int32]
+    mark: NDArray[np.int64]
+    number: NDArray[np.int32]
+    kind_mark: NDArray[np.int64]
+    kind_number: NDArray[np.int32]
+    peak_mark: NDArray[np.int64]
+    peak_number: NDArray[np.int32]
+    pending: NDArray[np.int32]
+    n_pending: NDArray[np.int64]
 
 
 def route_of(h: int, S: int, Q: int, choices: int) -> Route:
@@ -148,22 +184,46 @@ def route_of(h: int, S: int, Q: int, choices: int) -> Route:
     )  # fmt: skip
 
 
-def room_of(h: int, S: int, Q: int, letters: int, choices: int) -> Room:
-    """Room for such plans; none for entries yet."""
-    return Room(
-        probability=np.zeros(0), outside=np.zeros(choices), slot=np.zeros(0, dtype=np.int32),
-        successors=np.zeros(0, dtype=np.int32), begin=np.zeros(S + 1, dtype=np.int64), value=np.zeros((2, S, Q)),
-        best=np.zeros((2, letters, Q)), mark=np.zeros((S, Q), dtype=np.int64),
-        best_mark=np.zeros((letters, Q), dtype=np.int64), pending=np.zeros((S, Q), dtype=np.int32),
-        n_pending=np.zeros(S, dtype=np.int64), touched=np.zeros(h * S, dtype=np.int64),
-        layer=np.zeros(h + 2, dtype=np.int64), place=np.full(S, -1, dtype=np.int64), topped=np.zeros(Q, dtype=np.int64),
-        ahead=np.zeros((S, Q + 4)), lines=np.zeros((3, Q + 4)), which=np.zeros(Q + 4, dtype=np.int32),
-        memo=np.zeros(64), unseen=np.zeros(letters, dtype=np.bool_),
+def chart_of(h: int, Q: int, first_choice: NDArray[np.int64], letters: int) -> Chart:
+    """None yet; no room for entries, and for children."""
+    n, S = np.diff(first_choice), len(first_choice) - 1
+    block = np.concatenate([[0], np.cumsum(-(-n // 16))])
+    lane = np.arange(first_choice[-1]) + np.repeat(16 * block[:-1] - first_choice[:-1], n)
+    none, situations, peaks = np.zeros(0, dtype=np.int32), h * S * Q, h * Q
+    return Chart(
+        stamp=np.full(5, -1, dtype=np.int64), block=block, lane=lane, begin=np.zeros(S + 1, dtype=np.int64),
+        successors=none, column=np.zeros(block[-1] + 1, dtype=np.int64), slot=none, cell=np.zeros(0, dtype=np.int64),
+        touched=np.zeros(h * S, dtype=np.int64), layer=np.zeros(h + 2, dtype=np.int64), child=none,
+        kind=np.zeros(situations, dtype=np.int32), kinds=np.zeros(h + 2, dtype=np.int64),
+        peak=np.zeros(situations, dtype=np.int32), peaks=np.zeros(h + 1, dtype=np.int64),
+        basis=np.zeros(peaks), feeds=np.zeros(peaks * letters, dtype=np.int32),
     )  # fmt: skip
 
 
-def with_entries(room: Room, n: int) -> Room:
-    """The same with room for n entries."""
-    return room._replace(
-        probability=np.zeros(n), slot=np.zeros(n, dtype=np.int32), successors=np.zeros(n, dtype=np.int32)
+def room_of(h: int, S: int, Q: int, letters: int, blocks: int) -> Room:
+    """Room for such charts and plans; none for entries yet."""
+    return Room(
+        probability=np.zeros(0), hope=np.zeros(16 * blocks), fresh=np.zeros(16 * blocks),
+        value=np.zeros(h * S * Q + 2), best=np.zeros(h * min(letters, S) * Q + 1), top=np.zeros(h * Q),
+        memo=np.zeros(64), unseen=np.zeros(letters, dtype=np.bool_), used=np.zeros(S, dtype=np.int64),
+        where=np.zeros(S, dtype=np.int64), successors=np.zeros(0, dtype=np.int32),
+        mark=np.zeros(S * Q, dtype=np.int64), number=np.zeros(S * Q, dtype=np.int32),
+        kind_mark=np.zeros((letters, Q), dtype=np.int64), kind_number=np.zeros((letters, Q), dtype=np.int32),
+        peak_mark=np.zeros(Q, dtype=np.int64), peak_number=np.zeros(Q, dtype=np.int32),
+        pending=np.zeros((S, Q), dtype=np.int32), n_pending=np.zeros(S, dtype=np.int64),
+    )  # fmt: skip
+
+
+def with_entries(chart: Chart, room: Room, n: int) -> tuple[Chart, Room]:
+    """The same with room for n entries; the chart is to be made again."""
+    chart.stamp[:] = -1
+    chart = chart._replace(
+        successors=np.zeros(n, dtype=np.int32), slot=np.zeros(n, dtype=np.int32), cell=np.zeros(n, dtype=np.int64)
     )
+    return chart, room._replace(probability=np.zeros(16 * n), successors=np.zeros(n, dtype=np.int32))
+
+
+def with_children(chart: Chart) -> Chart:
+    """The same with more room for children; it is to be made again."""
+    chart.stamp[1:] = -1
+    return chart._replace(child=np.zeros(2 * len(chart.child) + 4096, dtype=np.int32))

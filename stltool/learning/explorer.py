@@ -7,7 +7,19 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.kernels.tuples import Rules, Walked, room_of, route_of, with_entries
+from stltool.automata import FALSE, TRUE, UNDECIDED
+from stltool.kernels.tuples import (
+    Chart,
+    Room,
+    Route,
+    Rules,
+    Walked,
+    chart_of,
+    room_of,
+    route_of,
+    with_children,
+    with_entries,
+)
 from stltool.learning.aftermath import ENOUGH
 from stltool.learning.counts import Counts
 from stltool.learning.episode import Episode
@@ -39,7 +51,7 @@ class Explorer:
             worth=np.array([paradise(t, h) for t in range(h)]),
             occurring=np.unique(problem.letter).astype(np.int64),
         )
-        n, letters = counts.n_choices, automaton.n_letters
+        n = counts.n_choices
         known = np.zeros(S, dtype=np.bool_)
         known[counts.target] = True
         visits = counts.visits
@@ -49,7 +61,8 @@ class Explorer:
             start, visits, counts.target.astype(np.int32), counts.seen.copy(), np.zeros(len(counts.seen)), known
         )
         self.route = route_of(h, S, Q, n)
-        self.room = room_of(h, S, Q, letters, n)
+        self.chart = chart_of(h, Q, self.rules.first_choice, len(self.rules.occurring))
+        self.room = room_of(h, S, Q, automaton.n_letters, int(self.chart.block[-1]))
 
     def episode(self, episode: Episode, optimism: float) -> None:
         """Play one: a belief is drawn, and acted on."""
@@ -76,10 +89,13 @@ class Explorer:
         assert generator is not None
         states, actions = np.empty(n + 1, dtype=np.int32), np.empty(n, dtype=np.int32)
         states[0] = episode.s
-        taken = exploring.episode(
-            episode.environment.tables, self.rules, self.walked, self.route, self.room, hope, ENOUGH, episode.q,
-            generator.random(n), chances, weights, states, actions,
-        )  # fmt: skip
+        verdict = UNDECIDED if episode.verdict is None else TRUE if episode.verdict else FALSE
+        here, moves = np.array([0, episode.q, verdict, 0]), generator.random(n)
+        while not exploring.episode(
+            episode.environment.tables, *self._all, hope, ENOUGH, here, moves, chances, weights, states, actions
+        ):
+            self.chart = with_children(self.chart)
+        taken = int(here[0])
         if taken < n:
             generator.bit_generator.advance(taken - n)  # type: ignore[attr-defined]
         episode.record(states[: taken + 1], actions[:taken])
@@ -90,10 +106,11 @@ class Explorer:
         """The same with only reset and step."""
         from stltool.kernels import exploring
 
-        rules, walked, route, room = self.rules, self.walked, self.route, self.room
+        rules, walked, route = self.rules, self.walked, self.route
         first_choice, stuck = self._problem.lists[2], False
         if episode.verdict is None and not episode.over:
-            exploring.plan(rules, walked, route, room, hope, 0, episode.s, episode.q)
+            while not exploring.plan(*self._all, hope, 0, episode.s, episode.q):
+                self.chart = with_children(self.chart)
         while not episode.over and episode.verdict is not True:
             t, s, chance = episode.t, episode.s, float(chances[episode.t])
             if episode.verdict is False:
@@ -101,22 +118,27 @@ class Explorer:
                 if a < 0:
                     break
             else:
-                a = exploring.choose(rules, walked, route, room, hope, t, s, episode.q, chance)
+                while (a := exploring.choose(*self._all, hope, t, s, episode.q, chance)) < 0:
+                    self.chart = with_children(self.chart)
             episode.step(a)
             exploring.count(walked, route, first_choice[s] + a, episode.s, float(weights[t]))
             stuck = episode.s == s
 
+    @property
+    def _all(self) -> tuple[Rules, Walked, Route, Chart, Room]:
+        return self.rules, self.walked, self.route, self.chart, self.room
+
     def _make_room(self, n: int) -> None:
         """For n more entries."""
         used, had = int(self.walked.start[-1]), len(self.walked.target)
-        if used + n <= had and len(self.room.slot) == had:
+        if used + n <= had and len(self.chart.slot) == had:
             return
         size = 2 * (used + n)
         walked, rest = self.walked, (0, size - had)
         self.walked = walked._replace(
             target=np.pad(walked.target, rest), seen=np.pad(walked.seen, rest), weight=np.pad(walked.weight, rest)
         )
-        self.room = with_entries(self.room, size)
+        self.chart, self.room = with_entries(self.chart, self.room, size)
 
 
 def _repeatable(environment: Environment) -> bool:

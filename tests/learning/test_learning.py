@@ -479,6 +479,34 @@ def test_where_the_data_promise_nothing_the_policy_takes_what_is_untried(most, m
     assert stl.check(product, stl.Policy(product, learner.policy(state))).probability == 1.0
 
 
+def sweep_one_by_one(rules, route, chart, room, since):
+    """`exploring.sweep` for one choice after the other; both add what leads outside last."""
+    h, letters, twice = len(rules.worth), len(rules.occurring), np.zeros(int(chart.layer[len(rules.worth)]) + 1, int)
+    states = chart.touched[: len(twice) - 1]
+    twice[1:] = np.cumsum(np.diff(route.first[: len(twice)]) * np.diff(chart.begin)[states])
+    room.value[:2], room.best[0] = (0.0, 1.0), 0.0
+    for t in range(h - 1, since - 1, -1):
+        for peak in range(chart.peaks[t], chart.peaks[t + 1]):
+            feeds = chart.feeds[peak * letters : (peak + 1) * letters]
+            room.top[peak] = min(max(chart.basis[peak], room.best[feeds].max()), rules.worth[t])
+        room.best[chart.kinds[t] : chart.kinds[t + 1]] = 0.0
+        for g in range(chart.layer[t], chart.layer[t + 1]):
+            s, children = states[g], twice[g]
+            n = chart.begin[s + 1] - chart.begin[s]
+            for i in range(route.first[g], route.first[g + 1]):
+                values = room.value[chart.child[children : children + n]]
+                children, sums = children + n, []
+                for lane in chart.lane[rules.first_choice[s] : rules.first_choice[s + 1]]:
+                    b, total = lane // 16, 0.0
+                    for k in range(chart.column[b], chart.column[b + 1]):
+                        total += room.probability[16 * k + lane % 16] * values[chart.slot[k]]
+                    total += room.hope[lane] * room.top[chart.peak[i]]
+                    sums.append(total + room.fresh[lane] * rules.worth[t])
+                room.value[2 + i] = max(sums)
+                route.choice[i] = int(np.argmax(sums)) if max(sums) > 0 else -2
+                room.best[chart.kind[i]] = max(room.best[chart.kind[i]], max(sums))
+
+
 def test_an_explorer_equals_its_python_twin(good_or_bad, monkeypatch):
     """Whole episodes of the model-based learner: of a task that is soon lost, and on the way to what is unknown."""
     products = [good_or_bad, stl.build_product(oracles.corridor(4), stl.parse("F[0,5] end"))]
@@ -488,6 +516,7 @@ def test_an_explorer_equals_its_python_twin(good_or_bad, monkeypatch):
     assert len(names) >= 8
     for name in names:
         monkeypatch.setattr(exploring, name, getattr(exploring, name).py_func)
+    monkeypatch.setattr(exploring, "sweep", sweep_one_by_one)  # its vectors are not for Python
     for product, run in zip(products, fast, strict=True):
         slow = stl.learn(product, **settings)
         assert slow.history == run.history

@@ -13,6 +13,7 @@ from stltool.automata import TRUE, UNDECIDED
 from stltool.checking.induction import Single
 from stltool.checking.induction.anywhere import Anywhere, From
 from stltool.kernels import exploring
+from stltool.kernels.tuples import with_children
 from stltool.learning.counts import Counts
 from stltool.learning.explorer import Explorer
 from stltool.learning.model_based import Planner
@@ -190,6 +191,25 @@ def explored(product, counts, level, since, s, q):
     return found
 
 
+def route_found(explorer, since):
+    """A plan's choices by (t, s, q)."""
+    route, found = explorer.route, {}
+    for t, x in np.argwhere(route.group[since:] >= 0).tolist():
+        g = route.group[since + t, x]
+        for i in range(route.first[g], route.first[g + 1]):
+            found[since + t, x, int(route.memory[i])] = int(route.choice[i])
+    return found
+
+
+def planned(explorer, level, since, s, q):
+    """The plan from there, by (t, s, q), with every transition's frequency as it was counted."""
+    explorer._make_room(1)
+    explorer.walked.weight[:] = explorer.walked.seen
+    while not exploring.plan(*explorer._all, level, since, s, q):
+        explorer.chart = with_children(explorer.chart)
+    return route_found(explorer, since)
+
+
 @given(products(states=4), st.integers(0, 2**32 - 1), st.sampled_from([0.0, -1e-9, -0.5, -3.0, -700.0]), st.data())
 @settings(max_examples=many(60))
 def test_what_transitions_lead_to_is_planned_for(product, seed, level, data):
@@ -203,17 +223,25 @@ def test_what_transitions_lead_to_is_planned_for(product, seed, level, data):
         return
     s, q = divmod(int(data.draw(st.sampled_from(anywhere.codes(since).tolist()))), product.automaton.n_states)
     explorer = Explorer(problem, counts)
-    for _ in range(2):  # the second plan finds what the first one left behind
-        explorer._make_room(1)
-        explorer.walked.weight[:] = explorer.walked.seen
-        exploring.plan(explorer.rules, explorer.walked, explorer.route, explorer.room, level, since, s, q)
-        wanted, route, found = explored(product, counts, level, since, s, q), explorer.route, {}
-        for t, x in np.argwhere(route.group[since:] >= 0).tolist():
-            g = route.group[since + t, x]
-            for i in range(route.first[g], route.first[g + 1]):
-                found[since + t, x, int(route.memory[i])] = int(route.choice[i])
-        assert found == wanted
+    for _ in range(3):  # later plans find what the first one left behind
+        assert planned(explorer, level, since, s, q) == explored(product, counts, level, since, s, q)
         c, x = int(rng.integers(counts.n_choices)), int(rng.integers(counts.n_states))
         exploring.count(explorer.walked, explorer.route, c, x, 1.0)
         counts.add([c], [x])
         explorer.walked.known[:] = Explorer(problem, counts).walked.known
+
+
+@pytest.mark.parametrize("n_actions", [1, 4, 9, 17, 40])
+@pytest.mark.parametrize("seed", range(4))
+def test_what_is_hoped_for_does_not_depend_on_the_order_of_states(seed, n_actions):
+    """Many states with few letters, and more choices than a block has."""
+    rng = np.random.default_rng(seed)
+    rows = rng.random((n_actions, 12, 12)) * (rng.random((n_actions, 12, 12)) < 0.2) + 1e-3
+    letter = rng.permutation(12) % 4
+    labels = {"a": letter % 2 == 1, "b": letter // 2 == 1}
+    model = stl.MDP.from_arrays(rows / rows.sum(axis=2, keepdims=True), {}, labels=labels, initial=0)
+    product = early(stl.build_product(model, stl.parse("F[0,5) G[0,3) a & G[0,4) F[0,4) b")))
+    counts = counted(product, rng, 0.9)
+    explorer, q = Explorer(Problem.of(product), counts), product.enter(0, product.automaton.initial)
+    for level in (-0.1, -3.0):
+        assert planned(explorer, level, 0, 0, q) == explored(product, counts, level, 0, 0, q)
