@@ -25,6 +25,7 @@ from stltool.kernels.tuples import (
     Tables,
     Walked,
     chart_of,
+    draws_of,
     one_state,
     room_of,
     route_of,
@@ -368,42 +369,73 @@ def aftermath(rules: Any, walked: Any, s: Any, stuck: bool, enough: int, chance:
 
 
 @kernel
-def episode(
-    env: Any, rules: Any, walked: Any, route: Any, chart: Any, room: Any, level: float, enough: int, here: I64,
-    moves: F64, chances: F64, weights: F64, states: I32, actions: I32,
-) -> bool:  # fmt: skip
-    """The rest of an episode of at most len(actions) steps; False if the chart has too little room for children.
+def episodes(
+    env: Any, rules: Any, walked: Any, route: Any, chart: Any, room: Any, rng: Any, world: Any, optimism: float,
+    enough: int, draws: Any, here: I64, starts: I64, choice: I64, target: I32, context: I64,
+) -> int:  # fmt: skip
+    """Episodes one after the other, which is what it returns 0 after; 1: there is too little room for entries, 2: for
+    children. It then goes on from there.
 
-    here (4,): its step, memory and verdict, and whether the last step led nowhere; it is left where it ends
-    states (n+1,) and actions (n,) are filled.
+    here (8,): what is left: episodes; the present one's step (−1: it begins; −2: it has not been reset), state, memory,
+    verdict, and whether the last step led nowhere; how many transitions there are, and the automaton's first state
+    starts (S,): how many episodes started there, undecided
+    choice, target, context (n,): the transitions; the context is 1 + the choice before, 0 at the start of an episode
+    rng draws the beliefs; world, the model's transitions, one number for each and for each reset
     """
-    t, q, verdict, stuck = here[0], here[1], here[2], here[3] == 1
-    s = np.int64(states[t])
-    if t == 0 and verdict < 0 and not plan(rules, walked, route, chart, room, level, 0, s, q):
-        return False
-    fits = True
-    while t < len(actions) and verdict != 1:
-        if verdict == 0:
-            a = aftermath(rules, walked, s, stuck, enough, chances[t])
-            if a < 0:
+    t, s, q, verdict, stuck, n = here[1], here[2], here[3], here[4], here[5] == 1, here[6]
+    length, missing = len(draws.weights), 0
+    while here[0] > 0:
+        if t < 0:
+            entries = walked.start[-1]
+            if entries + length > len(walked.target):
+                missing = 1
                 break
-        else:
-            a = choose(rules, walked, route, chart, room, level, t, s, q, chances[t])
-            if a < 0:
-                fits = False
-                break
-        c = rules.first_choice[s] + a
-        lo, hi = env.row_start[c], env.row_start[c + 1]
-        s2 = np.int64(env.target[inversion(env.sums, lo, hi, moves[t] * env.sums[hi - 1])])
-        count(walked, route, c, s2, weights[t])
-        stuck = s2 == s
-        s, q = s2, np.int64(rules.delta[rules.letter[s2], q])
-        states[t + 1], actions[t] = s, a
-        t += 1
-        if verdict < 0:
-            verdict = np.int64(rules.verdicts[t, q])
-    here[0], here[1], here[2], here[3] = t, q, verdict, 1 if stuck else 0
-    return fits
+            if t == -2:
+                s = np.int64(inversion(env.first, 0, len(env.first), world.random() * env.first[-1]))
+                q = np.int64(rules.delta[rules.letter[s], here[7]])
+                verdict = np.int64(rules.verdicts[0, q])
+            if verdict < 0:
+                starts[s] += 1
+            for e in range(entries):
+                draws.normal[e] = rng.standard_normal()
+            believe(walked, draws.normal)
+            walked.known[s] = True
+            for i in range(length + 1):
+                draws.chances[i] = rng.random()
+            for i in range(length):
+                draws.weights[i] = rng.standard_exponential()
+            t, stuck = 0, False
+        level = math.log(max(1.0 - draws.chances[length] ** (1.0 / optimism), 1e-300))
+        if t == 0 and verdict < 0 and not plan(rules, walked, route, chart, room, level, 0, s, q):
+            missing = 2
+            break
+        while t < length and verdict != 1:
+            if verdict == 0:
+                a = aftermath(rules, walked, s, stuck, enough, draws.chances[t])
+                if a < 0:
+                    break
+            else:
+                a = choose(rules, walked, route, chart, room, level, t, s, q, draws.chances[t])
+                if a < 0:
+                    missing = 2
+                    break
+            c = rules.first_choice[s] + a
+            lo, hi = env.row_start[c], env.row_start[c + 1]
+            s2 = np.int64(env.target[inversion(env.sums, lo, hi, world.random() * env.sums[hi - 1])])
+            count(walked, route, c, s2, draws.weights[t])
+            choice[n], target[n], context[n] = c, s2, 0 if t == 0 else choice[n - 1] + 1
+            stuck = s2 == s
+            s, q = s2, np.int64(rules.delta[rules.letter[s2], q])
+            n += 1
+            t += 1
+            if verdict < 0:
+                verdict = np.int64(rules.verdicts[t, q])
+        if missing > 0:
+            break
+        t = -2
+        here[0] -= 1
+    here[1], here[2], here[3], here[4], here[5], here[6] = t, s, q, verdict, 1 if stuck else 0, n
+    return missing
 
 
 def warm_up() -> None:
@@ -417,10 +449,10 @@ def warm_up() -> None:
     route = route_of(1, 1, 1, 1)
     chart, room = with_entries(with_children(chart_of(1, 1, places, 1)), room_of(1, 1, 1, 1, 1), 4)
     env = Tables(*one_state(), np.ones(1), np.ones(1))
-    states, actions, here = np.zeros(2, dtype=np.int32), np.zeros(1, dtype=np.int32), np.array([0, 0, -1, 0])
     believe(walked, one)
     plan(rules, walked, route, chart, room, -1.0, 0, 0, 0)
-    episode(env, rules, walked, route, chart, room, -1.0, 1, here, one, one, one, states, actions)
+    rng, draws, here = np.random.default_rng(0), draws_of(4, 1), np.array([1, -2, 0, 0, -1, 0, 0, 0])
+    episodes(env, rules, walked, route, chart, room, rng, rng, 1.0, 1, draws, here, whole.copy(), whole, narrow, whole)
     choose(rules, walked, route, chart, room, -1.0, 0, 0, 0, 0.5)
     count(walked, route, 0, 0, 1.0)
     aftermath(rules, walked, 0, True, 1, 0.5)

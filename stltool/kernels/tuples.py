@@ -175,6 +175,12 @@ class Room(NamedTuple):
     n_pending: NDArray[np.int64]
 
 
+def lines(n: int) -> NDArray[np.float64]:
+    """(n,) zeros that begin where a line of the cache does: vectors of eight then lie in one each."""
+    room = np.zeros(n + 8)
+    return room[-room.ctypes.data // 8 % 8 :][:n]
+
+
 def route_of(h: int, S: int, Q: int, choices: int) -> Route:
     """No plan yet, for at most h·S·Q situations."""
     return Route(
@@ -203,7 +209,7 @@ def chart_of(h: int, Q: int, first_choice: NDArray[np.int64], letters: int) -> C
 def room_of(h: int, S: int, Q: int, letters: int, blocks: int) -> Room:
     """Room for such charts and plans; none for entries yet."""
     return Room(
-        probability=np.zeros(0), hope=np.zeros(16 * blocks), fresh=np.zeros(16 * blocks),
+        probability=np.zeros(0), hope=lines(16 * blocks), fresh=lines(16 * blocks),
         value=np.zeros(h * S * Q + 2), best=np.zeros(h * min(letters, S) * Q + 1), top=np.zeros(h * Q),
         memo=np.zeros(64), unseen=np.zeros(letters, dtype=np.bool_), used=np.zeros(S, dtype=np.int64),
         where=np.zeros(S, dtype=np.int64), successors=np.zeros(0, dtype=np.int32),
@@ -220,10 +226,24 @@ def with_entries(chart: Chart, room: Room, n: int) -> tuple[Chart, Room]:
     chart = chart._replace(
         successors=np.zeros(n, dtype=np.int32), slot=np.zeros(n, dtype=np.int32), cell=np.zeros(n, dtype=np.int64)
     )
-    return chart, room._replace(probability=np.zeros(16 * n), successors=np.zeros(n, dtype=np.int32))
+    return chart, room._replace(probability=lines(16 * n), successors=np.zeros(n, dtype=np.int32))
 
 
 def with_children(chart: Chart) -> Chart:
     """The same with more room for children; it is to be made again."""
     chart.stamp[1:] = -1
     return chart._replace(child=np.zeros(2 * len(chart.child) + 4096, dtype=np.int32))
+
+
+class Draws(NamedTuple):
+    """Random numbers of an episode: normal (entries,); chances (length + 1,), the last one of its hope;
+    weights (length,), exponential."""
+
+    normal: NDArray[np.float64]
+    chances: NDArray[np.float64]
+    weights: NDArray[np.float64]
+
+
+def draws_of(entries: int, length: int) -> Draws:
+    """Room for them."""
+    return Draws(np.zeros(entries), np.zeros(length + 1), np.zeros(length))

@@ -23,15 +23,17 @@ class Episode:
 
     number    counted from 0
     length    the maximum number of steps; `over` when they are done
+    together  the learner may play so many episodes one after the other in place of this one, and record them all
     batch     the numbers of the episodes that are played side by side with it, its own among them; None: it is alone
     rng       the source of the learner's random numbers
     t, s, q   the current step, model state, and automaton state after reading it
+    played    the episodes that were played: 1, or `together`
     verdict   whether the task is satisfied; None until the run is decided. Further steps may still be taken, to explore
     """
 
     __slots__ = (
         "_actions", "_before", "_counts", "_delta", "_first_choice", "_letter", "_n_choices", "_problem", "_states",
-        "batch", "environment", "length", "number", "q", "rng", "s", "t", "verdict",
+        "batch", "environment", "length", "number", "played", "q", "rng", "s", "t", "together", "verdict",
     )  # fmt: skip
 
     def __init__(
@@ -43,11 +45,13 @@ class Episode:
         number: int,
         length: int,
         batch: range | None = None,
+        together: int = 1,
     ) -> None:
         self._problem, self._counts = problem, counts
         self._letter, self._n_choices, self._first_choice = problem.lists
         self._delta = problem.automaton.delta
         self.environment, self.rng, self.number, self.length, self.batch = environment, rng, number, length, batch
+        self.together, self.played = together, 1
         self.t, self.s = 0, require_state(environment.reset(), "reset()", problem.n_states, "the model")
         self.q = int(self._delta[self._letter[self.s], problem.automaton.initial])
         self.verdict: bool | None = None
@@ -116,6 +120,11 @@ class Episode:
         self._counts.add_known(taken, states[1:], np.concatenate([[self._before], taken + 1])[:-1])
         self._states, self._actions = states, actions
         self.t, self.s = len(actions), int(states[-1])
+
+    def record_all(self, choice: NDArray[np.int64], target: NDArray[np.int32], context: NDArray[np.int64]) -> None:
+        """All steps of the episodes that it stands for, as they are counted; t is then the number of them all."""
+        self._counts.add_known(choice, target, context)
+        self.played, self.t = self.together, len(choice)
 
     def transitions(self) -> NDArray[np.int32]:
         """(t, 3): s, a, s' of every step so far."""

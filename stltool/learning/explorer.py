@@ -13,8 +13,10 @@ from stltool.kernels.tuples import (
     Room,
     Route,
     Rules,
+    Tables,
     Walked,
     chart_of,
+    draws_of,
     room_of,
     route_of,
     with_children,
@@ -25,10 +27,8 @@ from stltool.learning.counts import Counts
 from stltool.learning.episode import Episode
 from stltool.learning.optimism import level, paradise
 from stltool.learning.problem import Problem
-from stltool.models.environment import Environment
 
 _LEAST = 1e-300
-_ONE_BY_ONE = (np.random.PCG64, np.random.PCG64DXSM)  # a random number is one step of these, and can be taken back
 
 
 class Explorer:
@@ -64,48 +64,52 @@ class Explorer:
         self.chart = chart_of(h, Q, self.rules.first_choice, len(self.rules.occurring))
         self.room = room_of(h, S, Q, automaton.n_letters, int(self.chart.block[-1]))
 
-    def episode(self, episode: Episode, optimism: float) -> None:
-        """Play one: a belief is drawn, and acted on."""
+    def episode(self, episode: Episode, optimism: float, starts: NDArray[np.int64]) -> None:
+        """Play one, or all that it stands for: for each, a belief is drawn, and acted on.
+
+        starts (S,): how many episodes started there, undecided
+        """
+        environment = episode.environment
+        if environment.tables is not None and environment.generator is not None:
+            self._together(episode, environment.tables, environment.generator, optimism, starts)
+        else:
+            self._step_by_step(episode, optimism, starts)
+        self.total = self._counts.total
+
+    def _together(
+        self, episode: Episode, tables: Tables, world: np.random.Generator, optimism: float, starts: NDArray[np.int64]
+    ) -> None:
+        """Episodes in a simulated model at once: bit for bit the same as step by step."""
+        from stltool.kernels import exploring
+
+        n, draws = episode.together, draws_of(len(self.walked.target), episode.length)
+        verdict = UNDECIDED if episode.verdict is None else TRUE if episode.verdict else FALSE
+        here = np.array([n, -1, episode.s, episode.q, verdict, 0, 0, self._problem.automaton.initial])
+        choice, context = np.empty((2, n * episode.length), dtype=np.int64)
+        target = np.empty(n * episode.length, dtype=np.int32)
+        while missing := exploring.episodes(
+            tables, *self._all, episode.rng, world, optimism, ENOUGH, draws, here, starts, choice, target, context
+        ):
+            if missing == 1:
+                self._make_room(episode.length)
+                draws = draws._replace(normal=np.empty(len(self.walked.target)))
+            else:
+                self.chart = with_children(self.chart)
+        taken = int(here[6])
+        episode.record_all(choice[:taken], target[:taken], context[:taken])
+
+    def _step_by_step(self, episode: Episode, optimism: float, starts: NDArray[np.int64]) -> None:
+        """One with only reset and step."""
         from stltool.kernels import exploring
 
         rng, n = episode.rng, episode.length
         self._make_room(n)
+        if episode.verdict is None:
+            starts[episode.s] += 1
         exploring.believe(self.walked, rng.standard_normal(int(self.walked.start[-1])))
         self.walked.known[episode.s] = True
         chances, weights = rng.random(n + 1), rng.standard_exponential(n)
         hope = math.log(max(level(optimism, float(chances[n])), _LEAST))
-        environment = episode.environment
-        if environment.tables is not None and _repeatable(environment):
-            self._whole(episode, hope, chances, weights)
-        else:
-            self._step_by_step(episode, hope, chances, weights)
-        self.total = self._counts.total
-
-    def _whole(self, episode: Episode, hope: float, chances: NDArray[np.float64], weights: NDArray[np.float64]) -> None:
-        """An episode in a simulated model at once: bit for bit the same as step by step."""
-        from stltool.kernels import exploring
-
-        n, generator = episode.length, episode.environment.generator
-        assert generator is not None
-        states, actions = np.empty(n + 1, dtype=np.int32), np.empty(n, dtype=np.int32)
-        states[0] = episode.s
-        verdict = UNDECIDED if episode.verdict is None else TRUE if episode.verdict else FALSE
-        here, moves = np.array([0, episode.q, verdict, 0]), generator.random(n)
-        while not exploring.episode(
-            episode.environment.tables, *self._all, hope, ENOUGH, here, moves, chances, weights, states, actions
-        ):
-            self.chart = with_children(self.chart)
-        taken = int(here[0])
-        if taken < n:
-            generator.bit_generator.advance(taken - n)  # type: ignore[attr-defined]
-        episode.record(states[: taken + 1], actions[:taken])
-
-    def _step_by_step(
-        self, episode: Episode, hope: float, chances: NDArray[np.float64], weights: NDArray[np.float64]
-    ) -> None:
-        """The same with only reset and step."""
-        from stltool.kernels import exploring
-
         rules, walked, route = self.rules, self.walked, self.route
         first_choice, stuck = self._problem.lists[2], False
         if episode.verdict is None and not episode.over:
@@ -139,8 +143,3 @@ class Explorer:
             target=np.pad(walked.target, rest), seen=np.pad(walked.seen, rest), weight=np.pad(walked.weight, rest)
         )
         self.chart, self.room = with_entries(self.chart, self.room, size)
-
-
-def _repeatable(environment: Environment) -> bool:
-    generator = environment.generator
-    return generator is not None and isinstance(generator.bit_generator, _ONE_BY_ONE)

@@ -74,9 +74,7 @@ class ModelBased(Learner["Planner"]):
 
     def episode(self, state: Planner, episode: Episode) -> None:
         if state.small and episode.batch is None:
-            if episode.verdict is None:
-                state.starts[episode.s] += 1
-            state.explorer.episode(episode, self.optimism)
+            state.explorer.episode(episode, self.optimism, state.starts)
             return
         chances = episode.rng.random((episode.length, 2))[:, 1].tolist()
         belief = Belief(state, self.optimism, int(episode.rng.integers(2**62)))
@@ -264,6 +262,7 @@ class Planner:
             h = problem.automaton.horizon
             self._worth = np.array([paradise(t, h) for t in range(h)])
         self._batch: Batch | None = None
+        self._judged: tuple[tuple[int, int, float], Choices] | None = None  # by what was counted, and caution
         self._explorer: Explorer | None = None
         self._limit = memory_limit(None)  # which takes longer to find out than some plans
 
@@ -306,7 +305,16 @@ class Planner:
         return Plan(self._induct(learned, True, From(self._automata[TRUE], t, q), np.array([s])), t)
 
     def judged(self, caution: float) -> Choices:
-        """The best policy by the counts, from the states where episodes started; being outside is next to failing."""
+        """The best policy by the counts, from the states where episodes started; being outside is next to failing.
+
+        That of the last evaluation is the one that a run ends with: it is made once.
+        """
+        of = self.counts.total, int(self.starts.sum()), caution
+        if self._judged is None or self._judged[0] != of:
+            self._judged = of, self._best(caution)
+        return self._judged[1]
+
+    def _best(self, caution: float) -> Choices:
         learned = self.learned(self.counts.seen.astype(np.float64), doubt(self.counts.visits, caution))
         if self._anywhere is not None:
             table = self._anywhere.plan(learned, np.full_like(self._worth, NEXT_TO_NOTHING))

@@ -25,6 +25,8 @@ from stltool.learning.settings import Budget
 from stltool.learning.side_by_side import MOST, play
 from stltool.models.environment import Environment
 
+_TOGETHER = 32  # episodes between two looks at the clock and at interrupts
+
 Status: TypeAlias = Literal["complete", "within the gap", "gap certified", "out of steps", "nothing to learn"]
 
 
@@ -89,8 +91,8 @@ class Trainer:
         episodes, steps, probability) and between(progress) are called."""
         budget, learner, state = self.budget, self.learner, self.state
         while progress.status is None and progress.episode < budget.episodes:
-            played = self._play(progress)
-            before, progress.episode = progress.episode, progress.episode + len(played)
+            played = self._play(progress, 1 if shown is not None else _TOGETHER)
+            before, progress.episode = progress.episode, progress.episode + sum(episode.played for episode in played)
             progress.steps += sum(episode.t for episode in played)
             if self._out_of_steps(progress):
                 progress.status = "out of steps"
@@ -113,22 +115,27 @@ class Trainer:
             if between is not None:
                 between(progress)
 
-    def _play(self, progress: Progress) -> list[Episode]:
-        """The next episode; where the environment takes many runs at once, and the learner can, so many of them."""
-        runs, number = self.environment.runs, progress.episode
+    def _play(self, progress: Progress, most: int) -> list[Episode]:
+        """The next episode, which may stand for at most so many, until one is evaluated; where the environment takes
+        many runs at once, and the learner can, so many of them."""
+        runs, number, budget = self.environment.runs, progress.episode, self.budget
         if runs is None or not self.learner.side_by_side:
-            episode = self._begin(self.environment, number)
+            every = 1 if self.certifier is not None else budget.evaluate_every
+            most = min(most, every - number % every, budget.episodes - number)
+            if budget.most_steps is not None:
+                most = max(1, min(most, (budget.most_steps - progress.steps) // max(self.length, 1)))
+            episode = self._begin(self.environment, number, together=most)
             self.learner.episode(self.state, episode)
             return [episode]
-        n = min(runs.batch, MOST, self.budget.episodes - number)
-        if self.budget.most_steps is not None:
-            n = max(1, min(n, (self.budget.most_steps - progress.steps) // max(self.length, 1)))
+        n = min(runs.batch, MOST, budget.episodes - number)
+        if budget.most_steps is not None:
+            n = max(1, min(n, (budget.most_steps - progress.steps) // max(self.length, 1)))
         batch = range(number, number + n)
         begin = partial(self._begin, batch=batch if n > 1 else None)
         return play(runs, begin, partial(self.learner.episode, self.state), batch)
 
-    def _begin(self, environment: Environment, number: int, batch: range | None = None) -> Episode:
-        return Episode(self.problem, environment, self.counts, self.rng, number, self.length, batch)
+    def _begin(self, environment: Environment, number: int, batch: range | None = None, together: int = 1) -> Episode:
+        return Episode(self.problem, environment, self.counts, self.rng, number, self.length, batch, together)
 
     def ends(self, progress: Progress) -> bool:
         """Whether that was the last episode."""

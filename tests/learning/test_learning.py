@@ -23,6 +23,7 @@ from stltool.learning.tables import ClockedTable, Entries, SurrogateTable
 from stltool.models.environment import Environment, simulator
 from stltool.policy import with_flags
 from stltool.product import first_verdicts
+from stltool.randomness import Purpose, generator
 from tests import oracles
 from tests.checking.test_check import products
 from tests.conftest import FACTORY, ROOT, many, some
@@ -143,6 +144,28 @@ def test_a_learner_needs_nothing_but_reset_and_step(p1, method):
 
     run = stl.learn(p1, method, episodes=3, evaluate_every=1, environment=Environment(lambda: 0, step))
     assert len(seen) == run.environment_steps == run.counts.seen.sum()
+
+
+@pytest.mark.parametrize("most_steps", [None, 333])
+def test_many_episodes_at_once_are_those_one_by_one(floor5, most_steps):
+    """One call of a kernel for many episodes, one for each, and steps: with the same numbers of the same generators."""
+    model = dataclasses.replace(floor5, initial=np.full(floor5.n_states, 1 / floor5.n_states))
+    product = stl.build_product(model, stl.parse("F[0,4) G[0,3) C | G[0,4) F[0,3) A"))
+    settings = {"episodes": 70, "evaluate_every": 33, "seed": 4, "most_steps": most_steps}
+    runs = [stl.learn(product, **settings), stl.learn(product, progress=lambda *_: None, **settings)]
+    world = simulator(model, generator(4, Purpose.LEARNING_ENVIRONMENT))
+    runs.append(stl.learn(product, environment=dataclasses.replace(world, tables=None), **settings))
+    one, *others = ([run.history, *(column.tolist() for column in run.counts.in_context)] for run in runs)
+    assert [other == one for other in others] == [True, True]
+    assert runs[0].episodes == (70 if most_steps is None else runs[1].episodes)
+    assert all((run.policy.table == runs[0].policy.table).all() for run in runs)
+
+
+def test_others_hear_of_every_episode(patrolling):
+    """A learner that is asked for one at a time plays one at a time."""
+    heard = []
+    stl.learn(patrolling, episodes=5, evaluate_every=5, progress=lambda *told: heard.append(told[0]))
+    assert heard == [1, 2, 3, 4, 5]
 
 
 @pytest.mark.parametrize("answer", [-1, 18, 0.5, None])
