@@ -1,8 +1,9 @@
 """Which truth assignments of labels and comparisons occur, exactly where that can be found out.
 
 `feasible_valuations` takes comparisons of different cores for independent. Where they share signals, every truth
-assignment is tried here: by elimination (regions.py) if they are piecewise linear; else one occurs if values were found
-that have it. Signals may also be *given*, by earlier steps: then an assignment must occur whatever they are.
+assignment is tried here: by elimination (regions.py) if they are piecewise linear; by the roots of polynomials
+(roots.py) if they read one signal; else one occurs if values were found that have it. Signals may also be *given*, by
+earlier steps: then an assignment must occur whatever they are.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from stltool.errors import SizeError, TraceError
 from stltool.logic.feasible import realised
 from stltool.logic.formula import Comparison, Formula, label_names, variables
 from stltool.logic.regions import Constraint, alternatives, groups, is_decimal, numbers, solved
+from stltool.logic.roots import truths_of_one_signal
 from stltool.logic.semantics import satisfies
 
 _MOST_TOGETHER = 8  # comparisons that share signals
@@ -74,6 +76,9 @@ def _of_group(
         keep = np.array([truths[tuple(row)] is not False for row in rows.tolist()])
         return keep, None not in truths.values()
     if any(alternatives(leaf, True) is None for leaf in leaves):
+        occur = truths_of_one_signal(leaves, *names) if len(names) == 1 else None
+        if occur is not None:
+            return np.array([tuple(row) in occur for row in rows.tolist()]), True
         return everything, _all_found(leaves, set(map(tuple, rows.tolist())))
     try:
         [group] = groups(leaves, {})

@@ -213,8 +213,13 @@ def test_what_several_signals_decide_together():
         assert {name: steps.tolist() for name, steps in told.causes.items()} == {"x": x, "y": y}, text
         assert told.minimal
     assert str(stl.diagnose(stl.parse("F[0,1] max(x, y) >= 3"), both)).splitlines()[0].endswith("with x = 5, y = 2")
-    round_ = stl.diagnose(stl.parse("F[0,1] x * x + y * y > 24"), both)  # 25 would be enough
-    assert "known in part only" in round_.doubt
+    round_ = stl.diagnose(stl.parse("F[0,1] x * x + y * y > 24"), both)
+    assert ({name: steps.tolist() for name, steps in round_.causes.items()}, round_.minimal) == (
+        {"x": [1], "y": []},
+        True,
+    )
+    always = stl.diagnose(stl.parse("F[0,1] x * x + y * y > x * y - 1"), both)
+    assert "known in part only" in always.doubt
     rng = np.random.default_rng(0)
     many_values = stl.diagnose(stl.parse("G[0,1500] max(x, y) < 2"), {name: rng.random(1501) for name in "xy"})
     assert "too many" in many_values.doubt

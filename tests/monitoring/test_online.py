@@ -329,7 +329,8 @@ def test_what_looks_back_is_decided_as_soon_as_all_continuations_agree(text, kin
 DEPENDENT = [
     "x > y & F[0,2] x * y < 1", "F[0,1] (x + y > 3 & x < 1) | G[0,2] y < 1", "F[0,2] max(x, y) > 3 | G[0,1] x < 2",
     "F[0,2] abs(x) + abs(y) <= 1 & G[0,2] x < 3", "(G[0,2] x > y) -> F[0,1] (x > 2 | y < 2)",
-    "F[0,1] x * y == 0 -> y > 2",
+    "F[0,1] x * y == 0 -> y > 2", "F[0,2] x * x > 1 | G[0,3] x ^ 3 <= 1",
+    "(G[0,2] x * x < 2) -> F[0,2] (x <= 1 & x^3 >= 1)",
     "F[0,1] (x > y & y > 2 & x < 2) | G[0,2] x > y", "F[0,2] once[0,1] x > y & G[0,1] (x <= 2 | y > 2)",
 ]  # fmt: skip
 SHIFTED = [
@@ -490,7 +491,7 @@ def test_what_is_said_about_exactness():
     assert mixed[:2] == ("search", True)
     assert "depends on another" in mixed.why
     assert stl.OnlineMonitor(stl.parse(large.format("x > 4").replace("1000", "5000"))).early[:2] == ("structure", False)
-    for text in ("F[0,2] x * x > 4 | G[0,3] x ^ 3 <= 8", "G[0,3] (x * x[t-1] <= 1) & F[0,2] x > 3"):
+    for text in ("F[0,2] x * y > 4 & G[0,3] x * x + y * y <= 2", "G[0,3] (x * x[t-1] <= 1) & F[0,2] x > 3"):
         assert stl.OnlineMonitor(stl.parse(text)).early[:2] == ("automaton", False)
     many_labels = " & ".join(f"F[0,2] p{i}" for i in range(13))
     one = stl.OnlineMonitor(stl.parse(many_labels)).early
