@@ -25,7 +25,7 @@ def cases(n: int) -> list[tuple[str, str, Mapping[str, Any]]]:
     """A text, what the samples are, and the samples."""
     rng = np.random.default_rng(0)
     x, y = np.round(rng.random((2, n)) * 100 + 0.01, 2)
-    a, b = rng.random((2, n))
+    a, b, w = rng.random((3, n))
     k = np.arange(n) % 100_000 + 1
     right = {"x": np.round(0.03 * k, 2), "y": np.round(0.04 * k, 2), "z": np.round(0.05 * k, 2)}
     return [
@@ -34,6 +34,7 @@ def cases(n: int) -> list[tuple[str, str, Mapping[str, Any]]]:
         ("x * y == z", "decimals", {"x": x, "y": y, "z": np.round(x * y, 4)}),
         ("x * y == z", "computed from decimals", {"x": x, "y": y, "z": x * y}),
         ("x * y == z", "computed", {"x": a, "y": b, "z": a * b}),
+        ("x * y * w == z", "computed", {"x": a, "y": b, "w": w, "z": a * b * w}),
         ("sqrt(x^2 + y^2) <= z", "decimals", right),
         ("sqrt(x^2 + y^2) <= z", "computed", {"x": a, "y": b, "z": np.hypot(a, b)}),
         ("max(x, y) >= x", "decimals", {"x": x, "y": y}),

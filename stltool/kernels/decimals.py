@@ -48,16 +48,19 @@ def decimals(x: F64, m: I64, places: I64) -> None:
         at = (bits >> 52) - 1023 - _LEAST_EXPONENT
         e = _EXPONENTS[at]
         e += a >= _NEXT[e + 10]
-        whole = np.rint(a * _POWERS[14 - e])
-        short = whole / _POWERS[14 - e] == a
-        high, error = product(a, _POWERS[15 - e])
+        power = _POWERS[14 - e]
+        whole = np.rint(a * power)
+        short = whole / power == a
+        power *= 10.0  # exactly: up to 10^22
+        high, error = product(a, power)
         low = np.floor(high)
         rest = (high - low) + error
         nearest = np.floor(rest + 0.5)
-        distance, room = abs(nearest - rest), _HALVES[at] * _POWERS[15 - e]
+        distance, room = abs(nearest - rest), _HALVES[at] * power
         close = (distance > 0.5 - 1e-9) | (abs(distance - room) < 1e-9 * room)
         sixteen = distance < room
-        longer, error = product(a, _POWERS[16 - e])
+        power *= 10.0
+        longer, error = product(a, power)
         lower = np.floor(longer)
         rest = (longer - lower) + error
         upper = np.floor(rest + 0.5)

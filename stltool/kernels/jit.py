@@ -48,12 +48,15 @@ _FILES = _files()
 SOURCES = _digest(_FILES)
 
 
-def kernel(function: _Kernel, *, counts: bool = True, lock: bool = False, part: bool = False) -> _Kernel:
+def kernel(
+    function: _Kernel, *, counts: bool = True, lock: bool = False, part: bool = False, ieee: bool = False
+) -> _Kernel:
     """Compile `function` with numba, without Python and without its lock; `.py_func` is the Python function.
 
     For functions of some nanoseconds: without `counts`, references to arrays are not counted, which takes longer than
     that; such a kernel makes no arrays, and calls only its like. With `lock`, Python's lock is kept, and C can call it.
-    A `part` is called by kernels only, and is compiled into them; Python runs its `.py_func`.
+    A `part` is called by kernels only, and is compiled into them; Python runs its `.py_func`. With `ieee`, a quotient
+    by 0 is infinite or not a number, as in numpy; otherwise it is an exception, for which each division is checked.
 
     The machine code is stored on disk, unless a source here has changed since this process began: the code that Python
     has read may then be older or newer than the digest.
@@ -66,6 +69,8 @@ def kernel(function: _Kernel, *, counts: bool = True, lock: bool = False, part: 
     options: dict[str, Any] = {"no_cfunc_wrapper": not lock, "no_cpython_wrapper": part}
     if not counts:
         options["_nrt"] = False
+    if ieee:
+        options["error_model"] = "numpy"
     pipeline = PartCompiler if part else KernelCompiler
     compiled: Any = njit(nogil=not lock, pipeline_class=pipeline, **options)(function)
     if hasattr(compiled, "py_func"):  # with NUMBA_DISABLE_JIT it is the function itself

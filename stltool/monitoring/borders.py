@@ -10,7 +10,10 @@ as in squares of computed doubles, of 16 and 17 digits, the same is done modulo 
                    √A and B > 0        A − B² = D / 10^K has the sign of √A − B = D / (10^K (√A + B))
 
 min, max and abs choose by the doubles, or in the same way where these are too near. What is left over (divisions,
-other powers and roots, numbers of many digits times one another) is told, and judged one by one.
+other powers and roots, products of more than three numbers of many digits) is told, and judged one by one.
+
+Many samples of a comparison that does not choose are judged by a kernel, near the border or not (`judged`). `_Exact`
+does the same in numpy, but modulo 2⁶⁴ only.
 
 The margin is the nearest double of the quotient: D, 10^K and the quotient are taken as sums of two doubles. It is left
 over where it is too near to half-way between two doubles.
@@ -18,15 +21,14 @@ over where it is too near to half-way between two doubles.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from types import ModuleType
-from typing import TypeAlias
+import sys
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stltool.arrays import read_only
-from stltool.logic.formula import Arithmetic, Call, Comparison, Negate, Number, Term, Variable
+from stltool.logic.formula import Arithmetic, Call, Comparator, Comparison, Negate, Number, Term, Variable
 from stltool.monitoring.doubles import PLACES, bounded, short_decimals
 from stltool.numbers import shortest
 
@@ -37,9 +39,13 @@ Places: TypeAlias = "NDArray[np.int64] | np.int64"
 Whole: TypeAlias = tuple[Words, Places]  # m modulo 2⁶⁴, and k
 Pair: TypeAlias = tuple[Floats, Floats]  # the sum of two doubles
 
-_MOST_PLACES = 44  # 10^44 is the sum of two doubles
+_MOST_PLACES = 76
+_PLACES_OF_CONSTANTS = 44
 _LARGEST_POWER = 8
-_COMPILED_FROM = 2000  # samples; for fewer, printing each is quicker than loading a compiled kernel
+_TURNED: dict[Comparator, Comparator] = {"<": ">", "<=": ">=", ">": "<", ">=": "<=", "==": "==", "!=": "!="}
+COMPILED_FROM = 2000  # samples; for fewer, printing each is quicker than loading a compiled kernel
+_MANY = 1 << 27
+_seen = 0  # samples that this process has judged in numpy
 _ROOM = 2.0**63 * (1 - 2.0**-20)
 _BELOW = 2.0**63 - 1024  # the double before 2⁶³
 _TENS = np.array([pow(10, k, 1 << 64) for k in range(_MOST_PLACES + 1)], dtype=np.uint64)
@@ -62,8 +68,6 @@ def differences(
     `apart` bounds |left − right| of each. To be called under `np.errstate(all="ignore")`, for a `possible` comparison.
     """
     root, side = _sides(node)
-    if len(apart) >= _COMPILED_FROM and not _chooses(side) and not _chooses(root.args[0] if root else node.left):
-        return _compiled(node, columns, apart)
     exact = _Exact(columns)
     if root is None:
         whole, places = exact.difference(exact.whole(node.left), exact.whole(node.right), apart)
@@ -78,49 +82,70 @@ def differences(
     return (sign, margin, exact.settled) if root is node.left else (-sign, 0.0 - margin, exact.settled)
 
 
-def _compiled(node: Comparison, columns: Mapping[str, Floats], apart: Floats) -> tuple[NDArray[np.int8], Floats, Mask]:
-    """`differences` of terms without min, max and abs, by the kernel."""
-    from stltool.kernels import borders as k
-
-    n = len(apart)
+def in_kernel(node: Comparison) -> bool:
+    """Whether `judged` takes a `possible` comparison: none that chooses."""
     root, side = _sides(node)
-    code = _Code(k, list(columns))
+    return not _chooses(side) and not _chooses(root.args[0] if root is not None else node.left)
+
+
+def worthwhile(samples: int) -> bool:
+    """Whether so many samples are to be judged by the kernel, near the border or not.
+
+    Compiling it, once for all processes, takes as long as judging some hundred million samples in numpy. So a process
+    does that until it has loaded the kernel for samples on a border, or has judged that many.
+    """
+    global _seen
+    if samples < COMPILED_FROM:
+        return False
+    _seen += samples
+    return "stltool.kernels.borders" in sys.modules or _seen > _MANY
+
+
+def judged(node: Comparison, columns: Mapping[str, Floats], truth: Mask | None, margin: Floats | None) -> Mask | None:
+    """Write truth and margin of a comparison to arrays like the columns; a mask of samples that are left over, if any.
+
+    By one kernel: samples that are not near the border, too. What it finds is the same, bit for bit.
+    """
+    from stltool.kernels import borders as k
+    from stltool.monitoring.stream import COMPARATORS
+
+    arrays = [np.ascontiguousarray(values) for values in columns.values()]
+    shape, n = arrays[0].shape, arrays[0].size
+    root, side = _sides(node)
+    code = _Code(list(columns))
     inside, other = code.register(root.args[0] if root is not None else node.left), code.register(side)
-    b, error = bounded(side, columns) if root is not None else (np.empty(0), np.empty(0))
-    shared = [next((places for places in PLACES if _shares(k.has_places, values, places)), -1)
-              for values in columns.values()]  # fmt: skip
-    sign, margin, settled = np.empty(n, np.int8), np.empty(n), np.empty(n, np.bool_)
-    values, errors = (np.broadcast_to(x, n if root is not None else 0) for x in (b, error))
-    given, rows = np.array([*columns.values()]), np.array(code.rows, np.int64).ravel()
-    near, values, errors = (read_only(np.ascontiguousarray(x)) for x in (apart, values, errors))
-    k.settle(
-        given, np.array(shared, np.int64), rows, inside, other, root is not None, near, values, errors, sign, margin,
-        settled, np.empty(code.registers * k.TILE, np.int64), np.empty(code.registers * k.TILE, np.int64),
+    op = COMPARATORS[node.op if root is None or root is node.left else _TURNED[node.op]]
+    truths = _room(truth, shape, np.bool_)
+    margins = _room(margin, shape, np.float64)
+    left_over = np.zeros(shape, np.bool_)
+    tiles = (2 * code.registers + k.SPARE) * k.TILE
+    count = k.judge(
+        np.array([values.ctypes.data for values in arrays]), n, np.array(PLACES), np.array(code.rows, np.int64).ravel(),
+        np.array(code.numbers), inside, other, root is not None, op, code.narrow,
+        truths.view(np.uint8).reshape(-1), margins.reshape(-1), left_over.view(np.uint8).reshape(-1), np.empty(tiles),
+        np.empty(tiles + 3 * code.registers, np.int64), np.empty(2 * code.registers, np.uint64),
     )  # fmt: skip
-    if code.narrow and not settled.all():
-        from stltool.kernels import wide
-
-        lower, upper = np.empty((2, code.registers), np.uint64)
-        digits, own = np.empty((2, len(columns)), np.int64)
-        wide.settle(
-            given, rows, inside, other, root is not None, near, values, errors, sign, margin, settled, lower, upper,
-            np.empty(code.registers, np.int64), digits, own,
-        )  # fmt: skip
-    return (sign, margin, settled) if root is None or root is node.left else (-sign, 0.0 - margin, settled)
+    for out, found in ((truth, truths), (margin, margins)):
+        if out is not None and found is not out:
+            out[...] = found
+    return left_over if count else None
 
 
-def _shares(has_places: Callable[[Floats, float], bool], values: Floats, places: int) -> bool:
-    """Whether all values are decimals of so many places: seen from the first ones first."""
-    return has_places(values[:100], 10.0**places) and has_places(values, 10.0**places)
+def _room(out: NDArray[Any] | None, shape: tuple[int, ...], dtype: Any) -> NDArray[Any]:
+    """An array that lies together for what is asked for, or nothing."""
+    return out if out is not None and out.flags.c_contiguous else np.empty(0 if out is None else shape, dtype)
 
 
 class _Code:
-    """The operations of kernels/borders.py for some terms."""
+    """The operations of kernels/wide.py for some terms."""
 
-    def __init__(self, kernels: ModuleType, names: Sequence[str]) -> None:
-        self._k = kernels
+    def __init__(self, names: Sequence[str]) -> None:
+        from stltool.kernels import wide
+
+        self._k = wide
         self._names = names
         self.rows: list[list[int]] = []
+        self.numbers: list[float] = []
         self.narrow = True  # constants are below 2⁶³, and not only known modulo 2⁶⁴
 
     @property
@@ -137,7 +162,7 @@ class _Code:
                 assert constant is not None
                 m, places = int(constant[0].view(np.int64)), int(constant[1])
                 self.narrow &= m == shortest(value) * 10**places
-                return self._add(self._k.CONSTANT, m, places)
+                return self._add(self._k.CONSTANT, m, places, value)
             case Negate(arg):
                 return self._add(self._k.NEGATED, self.register(arg), 0)
             case Arithmetic("^", left, Number(power)):
@@ -151,8 +176,9 @@ class _Code:
             case _:
                 raise AssertionError(term)
 
-    def _add(self, kind: int, a: int, b: int) -> int:
+    def _add(self, kind: int, a: int, b: int, number: float = 0.0) -> int:
         self.rows.append([kind, self.registers, a, b])
+        self.numbers.append(number)
         return self.registers - 1
 
 
@@ -196,7 +222,7 @@ def _is_polynomial(term: Term) -> bool:
 def _constant(value: float) -> Whole | None:
     """m modulo 2⁶⁴ and k of a finite double; None if it has too many places."""
     decimal = shortest(value)
-    for k in range(_MOST_PLACES + 1):
+    for k in range(_PLACES_OF_CONSTANTS + 1):
         if 10**k % decimal.denominator == 0:
             return np.uint64(int(decimal * 10**k) % (1 << 64)), np.int64(k)
     return None
@@ -217,7 +243,7 @@ class _Exact:
     def _column(self, values: Floats) -> Whole:
         if (short := short_decimals(values)) is not None:
             return short[0].view(np.uint64), np.int64(short[1])
-        if len(values) < _COMPILED_FROM:
+        if len(values) < COMPILED_FROM:
             found = [_constant(value) if np.isfinite(value) else None for value in values.tolist()]
             words = np.array([0 if one is None else one[0] for one in found], dtype=np.uint64)
             places = np.array([-1 if one is None else one[1] for one in found], dtype=np.int64)

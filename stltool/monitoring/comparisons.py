@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import lru_cache, reduce
-from math import isfinite
+from math import isfinite, prod
 from operator import itemgetter
 from typing import TypeAlias, assert_never
 
@@ -34,7 +34,7 @@ from stltool.logic.formula import (
     variables,
 )
 from stltool.logic.semantics import COMPARE, robustness, satisfies
-from stltool.monitoring.borders import differences, possible
+from stltool.monitoring.borders import COMPILED_FROM, differences, in_kernel, judged, possible, worthwhile
 from stltool.monitoring.doubles import TINY, UNIT, WIDER, Floats, Values, bounded
 from stltool.source import Span
 
@@ -50,13 +50,14 @@ _REMEMBERED = 1 << 14  # cached results of samples judged one by one
 class Predicate:
     """One comparison, ready to judge arrays."""
 
-    __slots__ = ("_on_borders", "_settled", "names", "node", "plain")
+    __slots__ = ("_in_kernel", "_on_borders", "_settled", "names", "node", "plain")
 
     def __init__(self, node: Comparison) -> None:
         self.node = node
         self.names: dict[str, Span | None] = variables(node)
         self.plain = _is_plain(node.left) and _is_plain(node.right)
         self._on_borders = not self.plain and possible(node)
+        self._in_kernel = self._on_borders and in_kernel(node)
         self._settled = lru_cache(maxsize=_REMEMBERED)(self._settle)
 
     def __reduce__(self) -> tuple[type[Predicate], tuple[Comparison]]:
@@ -129,21 +130,34 @@ class Predicate:
     def _compute(
         self, columns: Mapping[str, Floats], truth: Bools | None, margin: Floats | None
     ) -> tuple[Bools | None, bool]:
+        shape = columns[next(iter(self.names))].shape
+        if self._in_kernel and worthwhile(prod(shape)):
+            return self._by_kernel(columns, truth, margin)
         left, right, error = self._sides(columns)
         if truth is not None:
             _COMPARE[self.node.op](left, right, out=truth)
         if margin is not None:
             _signed(self.node.op, left, right, margin)
-        shape = columns[next(iter(self.names))].shape
         apart = np.abs(left - right)
         near = np.broadcast_to(~(apart > error), shape)
         count = int(np.count_nonzero(near))
+        if self._in_kernel and count >= COMPILED_FROM:
+            return self._by_kernel(columns, truth, margin)
         if count and self._on_borders:
             # doubles.py counts 4u for what is at most u, and `error` is 2.5 times its sums: so this is a bound, too
             bound = np.broadcast_to(apart * (1 + 8 * UNIT) + error / 8, shape)
             near = self._at_the_border(columns, near, count, bound, truth, margin)
             count = int(np.count_nonzero(near))
         return self._one_by_one(columns, np.nonzero(near), shape, truth, margin) if count else (None, False)
+
+    def _by_kernel(
+        self, columns: Mapping[str, Floats], truth: Bools | None, margin: Floats | None
+    ) -> tuple[Bools | None, bool]:
+        given = {name: columns[name] for name in self.names}
+        left = judged(self.node, given, truth, margin)
+        if left is None:
+            return None, False
+        return self._one_by_one(columns, np.nonzero(left), left.shape, truth, margin)
 
     def _at_the_border(
         self,

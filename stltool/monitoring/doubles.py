@@ -72,7 +72,7 @@ def bounded(term: Term, columns: Mapping[str, Floats]) -> Bounded:
                 case "abs":
                     return np.abs(value), error
                 case "sqrt":
-                    root = np.sqrt(value)
+                    root = np.sqrt(value) + 0.0  # not −0, whose bound would be −∞
                     steep = np.where(value > error, 1.0, np.inf)
                     return _rounded(root, np.where(value > 16 * error, 0.55, steep) * (WIDER * error / root))
                 case "min" | "max":
