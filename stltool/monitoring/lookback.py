@@ -87,13 +87,19 @@ class _Window:
 
 
 class Network:
-    """The program over a stream. A node runs once the first values of its operands exist."""
+    """The program over a stream. A node runs once the first values of its operands exist.
+
+    If the trace has ended, windows of the future take neutral elements in the place of the steps that there are not:
+    this cuts them at the end. What nodes compute for these steps themselves is not looked at, as windows of the past
+    end at the step that is judged.
+    """
 
     def __init__(self, instructions: Sequence[Instruction]) -> None:
         self._instructions = tuple(instructions)
         self._values: list[Any] = [None] * len(instructions)
         self._nodes: list[tuple[int, Callable[[list[Any]], None]]] = []
         self._states: list[_Queue | _Window] = []
+        self._cut: dict[int, tuple[int, Callable[[list[Any]], None]]] = {}  # node: samples it is behind, what ends it
         self._horizon = [now.horizon or 0 for now in instructions]
         self.time = 0
         self._delayed: dict[tuple[int, int], int] = {}
@@ -118,14 +124,20 @@ class Network:
     def stored(self) -> int:
         return sum(len(state) for state in self._states)
 
-    def advance(self, atoms: Sequence[tuple[int, Value]]) -> Value | None:
-        """The atoms of the next sample → the value of the formula that is now known, if any."""
+    def advance(self, atoms: Sequence[tuple[int, Value]], n_steps: int | None = None) -> Value | None:
+        """The atoms of the next sample → the value of the formula that is now known, if any.
+
+        `n_steps`: how many steps the trace has, if it has ended; atoms are then of no importance.
+        """
         values, time = self._values, self.time
         for i, value in atoms:
             values[i] = value
-        for start, run in self._nodes:
+        for number, (start, run) in enumerate(self._nodes):
             if start <= time:
-                run(values)
+                if n_steps is not None and number in self._cut and time - self._cut[number][0] >= n_steps:
+                    self._cut[number][1](values)
+                else:
+                    run(values)
         self.time += 1
         found: Value = values[len(self._horizon) - 1]
         return found if time >= self._horizon[-1] else None
@@ -143,11 +155,13 @@ class Network:
                 self._node(start, out, args, function)
             case "eventually" | "always":
                 assert b is not None
-                self._state(start + a, out, first, _Window(b - a + 1, _greatest if now.op == "eventually" else _least))
+                some = now.op == "eventually"
+                window = _Window(b - a + 1, _greatest if some else _least)
+                self._state(start + a, out, first, window, (start, FALSE if some else TRUE))
             case "until":
                 assert b is not None
                 args = [self._after(arg, start) for arg in now.args]
-                both = self._paired(start + a, args, _Window(b - a + 1, _until))
+                both = self._paired(start + a, args, _Window(b - a + 1, _until), (start, (TRUE, FALSE)))
                 before = self._window(start, args[0], a, _least) if a else None
                 self._joined(start + b, out, both, before, b - a + 1)
             case "once" | "historically":
@@ -178,10 +192,10 @@ class Network:
         waited = self._late(before, start - waits, waits)
         self._node(start, out, [waited, both], lambda before, pair: _least(before, pair[1]))
 
-    def _paired(self, start: int, args: Sequence[int], window: _Window) -> int:
+    def _paired(self, start: int, args: Sequence[int], window: _Window, cut: tuple[int, Any] | None = None) -> int:
         pair, both = self._new(None), self._new((TRUE, FALSE))
         self._node(start, pair, args, lambda left, right: (left, right))
-        self._state(start, both, pair, window)
+        self._state(start, both, pair, window, cut)
         return both
 
     def _window(self, start: int, arg: int, width: int, combine: Callable[[Any, Any], Any]) -> int:
@@ -218,12 +232,22 @@ class Network:
 
         self._nodes.append((start, one if len(args) == 1 else two))
 
-    def _state(self, start: int, out: int, arg: int, state: _Queue | _Window) -> None:
+    def _state(
+        self, start: int, out: int, arg: int, state: _Queue | _Window, cut: tuple[int, Any] | None = None
+    ) -> None:
+        """`cut`: how many samples the operand is behind, and what is pushed in the place of steps after the end."""
         push = state.push
 
         def run(values: list[Any]) -> None:
             values[out] = push(values[arg])
 
+        if cut is not None:
+            behind, neutral = cut
+
+            def end(values: list[Any]) -> None:
+                values[out] = push(neutral)
+
+            self._cut[len(self._nodes)] = behind, end
         self._states.append(state)
         self._nodes.append((start, run))
 

@@ -553,7 +553,7 @@ class _LookingBack(OnlineMonitor):
         self._network = Network(self._program.instructions)
         self._literals = compile_formula(positive(negation_normal_form(self._judged, MOST_SHARED)))
         self._enclosing = Network(self._literals.instructions)
-        self._kept: deque[dict[str, float]] = deque(maxlen=self.horizon)
+        self._last: dict[str, float] = {}
         self._n_steps, self._final = 0, math.nan
         self._bind()
 
@@ -579,8 +579,7 @@ class _LookingBack(OnlineMonitor):
     @property
     def nbytes(self) -> int:
         """Memory of the values that are held, about: bounded by the horizon and the windows of the past that end."""
-        names = len(self._program.variables) + len(self._program.labels)
-        return 100 * (self._network.stored + self._enclosing.stored) + 40 * len(self._kept) * names
+        return 100 * (self._network.stored + self._enclosing.stored)
 
     def _feed(self, sample: Mapping[str, Any]) -> list[Decision] | Decisions:
         mapping(sample, "feed's sample", "{'x': 0.5}")
@@ -597,7 +596,7 @@ class _LookingBack(OnlineMonitor):
         self._earlier.keep(bases)
         self._enclosing.advance(signs)
         found = self._network.advance(atoms)
-        self._kept.append(values)
+        self._last = values
         self._n_steps += 1
         early = self._told_early(dict(atoms))
         if found is not None:
@@ -616,53 +615,33 @@ class _LookingBack(OnlineMonitor):
         return found
 
     def finish(self, end: Literal["cut", "hold"] = "cut") -> list[Decision]:
-        """The decisions of the steps still open if the trace ended here. The monitor can still be fed.
-
-        SettingsError for windows of the past without an end, which the samples that are kept do not fill, if `end` is
-        "cut" and the formula looks ahead as well.
-        """
+        """The decisions of the steps still open if the trace ended here. The monitor can still be fed."""
         one_of(end, "end", ("cut", "hold"))
         n = self.n_steps
-        first = n - min(self.horizon, n)
-        if n == first:
+        if min(self.horizon, n) == 0:
             return []
-        if end == "hold":
-            found = self._ahead(self._network, self.horizon, self._held())
-            last = [Decision(n - len(found) + i, truth, margin) for i, (margin, truth) in enumerate(found)]
-            return self._not_told(last)
-        if n > len(self._kept):
-            raise SettingsError(
-                "this formula looks back without a limit, so its last steps cannot be judged with windows cut at the "
-                'end; use finish("hold"), or give its windows of the past an end'
-            )
-        start = n - len(self._kept)
-        arrays = {
-            name: np.array([[sample[name] for sample in self._kept]])
-            for name in (*self._program.variables, *self._program.labels)
-        }
-        if not arrays:
-            arrays = {"": np.zeros((1, len(self._kept)))}
-        traces = Traces(arrays, self._program, 1, len(self._kept), batch=False, first_step=start)
-        truth, margins = judge(self._judged, traces, end, True, True)
-        return self._not_told(
-            [Decision(t, bool(truth[0, t - start]), float(margins[0, t - start])) for t in range(first, n)]
-        )
+        ends = n if end == "cut" else None
+        found = self._ahead(self._network, self.horizon, self._held(), ends)
+        last = [Decision(n - len(found) + i, truth, margin) for i, (margin, truth) in enumerate(found)]
+        return self._not_told(last)
 
     def _not_told(self, decisions: list[Decision]) -> list[Decision]:
         return [one for one in decisions if self.wait or self._verdicts[one.step - self._n_steps] is None]
 
     def _held(self) -> Iterator[list[tuple[int, Value]]]:
         """The atoms of the samples that follow if the last one is held."""
-        last = self._kept[-1]
+        last = self._last
         for made in itertools.chain(self._earlier.held(), itertools.repeat(None)):
             last = {**last, **made} if made is not None else last
             yield [(i, atom(last)) for i, atom in self._atoms]
 
     @staticmethod
-    def _ahead(network: Network, steps: int, atoms: Iterator[list[tuple[int, Value]]]) -> list[Value]:
-        """What a network would say after so many more samples."""
+    def _ahead(
+        network: Network, steps: int, atoms: Iterator[list[tuple[int, Value]]], n_steps: int | None = None
+    ) -> list[Value]:
+        """What a network would say after so many more samples, or at the end of a trace of `n_steps`."""
         copied = copy.deepcopy(network)
-        found = [copied.advance(next(atoms)) for _ in range(steps)]
+        found = [copied.advance(next(atoms), n_steps) for _ in range(steps)]
         return [value for value in found if value is not None]
 
     def bounds(self, step: int) -> tuple[float, float]:

@@ -965,8 +965,10 @@ def test_what_looks_back_is_judged_as_the_offline_monitor_does(phi, data):
         held = [decision[:2] for decision in early_ + first.finish("hold")]
         assert sorted(held) == list(enumerate(stl.monitor(phi, prefix, "hold").verdicts.tolist()))
         assert str(so_far + online.finish("hold")) == str(decisions(stl.monitor(phi, prefix, "hold")))
-        if stl.horizon(phi) == 0 or t < stl.horizon(phi):
-            assert str(so_far + online.finish("cut")) == str(decisions(stl.monitor(phi, prefix, "cut")))
+        truth = stl.monitor(phi, prefix, "cut").verdicts
+        told = {decision.step for decision in early_}
+        assert [d[:2] for d in first.finish("cut")] == [(i, bool(x)) for i, x in enumerate(truth) if i not in told]
+        assert str(so_far + online.finish("cut")) == str(decisions(stl.monitor(phi, prefix, "cut")))
         if t == n // 2:
             online, first = pickle.loads(pickle.dumps((online, first)))
     block = stl.OnlineMonitor(phi, wait=True)
@@ -1030,11 +1032,26 @@ def test_an_operand_that_has_no_step_to_hold_at_may_look_back_without_a_limit(te
         stl.OnlineMonitor(phi).feed({"b": 1.0})
 
 
-def test_what_looks_back_without_a_limit_has_no_cut_end():
+@pytest.mark.parametrize(
+    "text",
+    ["once a & (!b U[0,3] a)", "(!a U[1,3] historically b) | G[2,3] a", "G[0,2] ((b U[1,2] F[0,2] a) since b)",
+     "F[0,3] (b & !(a U[2,4] G[0,1] once b))", "once (F[1,2] a & G[1,2] b)"],
+)  # fmt: skip
+def test_windows_of_the_future_are_cut_over_an_endless_past(text):
+    phi, rng = stl.parse(text), np.random.default_rng(len(text))
+    trace = {"a": rng.random(40) < 0.3, "b": rng.random(40) < 0.8}
+    online = stl.OnlineMonitor(phi, wait=True)
+    for t in range(40):
+        online.feed({name: values[t] for name, values in trace.items()})
+        truth = stl.monitor(phi, {name: values[: t + 1] for name, values in trace.items()}, "cut").verdicts
+        wanted = list(enumerate(truth.tolist()))[max(0, t + 1 - stl.horizon(phi)) :]
+        assert [decision[:2] for decision in online.finish("cut")] == wanted
+
+
+def test_what_looks_back_without_a_limit_ends_either_way():
     online = stl.OnlineMonitor(stl.parse("(once a) & F[0,2] b"))
     online.feed({"a": [1, 0, 0, 0], "b": [0, 0, 1, 0]})
-    with pytest.raises(SettingsError, match=r'cannot be judged with windows cut at the end; use finish\("hold"\)'):
-        online.finish("cut")
+    assert [decision[:2] for decision in online.finish("cut")] == [(3, False)]
     assert [decision[:2] for decision in online.finish("hold")] == [(3, False)]  # step 2 was told at once
     with pytest.raises(SettingsError, match="there are bounds of steps 1 … 3"):
         online.bounds(0)
