@@ -79,6 +79,7 @@ PARTS = {
     "cluster": Part("A dask cluster of this machine's processes", "cluster"),
     "goals": Part("Environment steps to a good policy, twenty new seeds", "goals"),
     "beyond": Part("Learning beyond the paper's floor, beside posterior sampling and UCBVI", "goals", "beyond"),
+    "steps": Part("CPU time of an environment step of the default learner, beside an older commit", "steps"),
     "largest": Part("A billion product states, killed and resumed", "largest"),
 }  # fmt: skip
 _SECTION = re.compile(r"^## ", flags=re.MULTILINE)

@@ -1,4 +1,5 @@
-"""Episodes on small products, for the model-based learner: in a simulated model, each is one call of a kernel."""
+"""Episodes for the model-based learner on products that are not large, one after the other; in a simulated model, many
+of them are one call of a kernel."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ as there is something to learn from them (learning/aftermath.py).
 Plans are lazy: they are made for what the transitions seen lead to from the present situation. The episode's plan is
 kept as long as it applies. Where it relies on a choice that has been tried in the meantime, or says nothing, another
 untried choice of that state will do, which promises as much; only if there is none, the rest of the episode is planned
-again. On small products, where a whole episode is one call of a kernel (learning/explorer.py), hope for a choice that
+again. On products that are not large, where a kernel plays episodes (learning/explorer.py), hope for a choice that
 has been tried is modest: it leads to the best state that the model has for what is left of the task, which is paradise
 only while there are untried choices or certain success. Otherwise, where even the best policy mostly fails, hope would
 be all that counts.
@@ -55,6 +55,7 @@ from stltool.models.rows import Chances, Rows, starts
 from stltool.sizes import memory_limit, unsigned_type
 
 _SMALL = 300_000  # situations (t, s, q): with more, only those that can be reached are planned for
+_CHARTED = 15  # times as many: there is room to keep those that transitions lead to, for episodes one after the other
 _BELIEFS = 16  # different ones, of the episodes of a batch
 _LEAST = 1e-300  # drawn frequencies are positive, so that every successor that was seen stays one
 
@@ -73,7 +74,7 @@ class ModelBased(Learner["Planner"]):
         return Planner(problem, counts)
 
     def episode(self, state: Planner, episode: Episode) -> None:
-        if state.small and episode.batch is None:
+        if state.charted and episode.batch is None:
             state.explorer.episode(episode, self.optimism, state.starts)
             return
         chances = episode.rng.random((episode.length, 2))[:, 1].tolist()
@@ -242,7 +243,8 @@ class Planner:
     """Plans over the transitions counted so far; `plan` is the one that is acted on.
 
     starts   (n_states,) int64: how many episodes started there, undecided
-    small    with at most `most` situations (t, s, q), plans are made for all in which a run could be
+    small    with at most `most` situations (t, s, q), plans of batches are made for all in which a run could be
+    charted  with some times as many, episodes that are played alone are planned and played by a kernel
     """
 
     def __init__(self, problem: Problem, counts: Counts, most: float = _SMALL) -> None:
@@ -257,7 +259,9 @@ class Planner:
         self._choices = unsigned_type(problem.most_choices - 1)
         self._anywhere: Anywhere | None = None
         self._worth = np.zeros(0)
-        if float(np.prod([float(n) for n in problem.shape])) <= most:
+        situations = float(np.prod([float(n) for n in problem.shape]))
+        self.charted = situations <= _CHARTED * most
+        if situations <= most:
             self._anywhere = Anywhere(problem.automaton, problem.letter, problem.first_choice, self._choices)
             h = problem.automaton.horizon
             self._worth = np.array([paradise(t, h) for t in range(h)])

@@ -161,6 +161,19 @@ def test_many_episodes_at_once_are_those_one_by_one(floor5, most_steps):
     assert all((run.policy.table == runs[0].policy.table).all() for run in runs)
 
 
+def test_products_of_medium_size_are_explored_like_small_ones(patrolling, monkeypatch):
+    """Only their batches and judged policies are planned in another way."""
+    small = stl.learn(patrolling, episodes=40, evaluate_every=40, seed=2)
+    situations = float(np.prod(Problem.of(patrolling).shape))
+    monkeypatch.setattr(Planner.__init__, "__defaults__", (situations / 15,))
+    planner = Planner(Problem.of(patrolling), small.counts)
+    assert (planner.small, planner.charted) == (False, True)
+    medium = stl.learn(patrolling, episodes=40, evaluate_every=40, seed=2)
+    assert [x.tolist() for x in medium.counts.in_context] == [x.tolist() for x in small.counts.in_context]
+    monkeypatch.setattr(Planner.__init__, "__defaults__", (situations / 15.1,))
+    assert not Planner(Problem.of(patrolling), small.counts).charted
+
+
 def test_others_hear_of_every_episode(patrolling):
     """A learner that is asked for one at a time plays one at a time."""
     heard = []
