@@ -371,6 +371,8 @@ def run(
                 op, a, b = now[0], now[4], now[5]
                 count = length - now[6] if open_ else length  # values of the operands
                 value = scratch[now[1] * size : now[1] * size + count]
+                if parts and i == n_ops - 1:  # of which nothing else is needed
+                    value = out[at + row * wide + first :][:m]
                 if op == OP_ATOM:
                     n, values = m + horizon if parts else steps, value if across == 1 else one[:count]
                     for r in range(together):
@@ -418,8 +420,9 @@ def run(
             for r in range(together):
                 to = at + (row + r) * wide + first
                 target, values = out[to : to + m], found[r * steps : r * steps + m]
-                for t in range(m):
-                    target[t] = values[t]
+                if not parts:
+                    for t in range(m):
+                        target[t] = values[t]
                 if len(above) > 0:
                     signs = above[to : to + m]
                     for t in range(m):
