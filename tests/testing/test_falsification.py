@@ -260,6 +260,38 @@ def test_pieces_move_grow_and_shrink_as_wholes():
     assert any(row.tolist() == [0.2] * 5 + [0.7] * 4 + [0.4] * 3 for row in moved)
 
 
+def test_most_coordinates_move_together_by_little_or_by_much():
+    inputs = Inputs({"u": Signal(0, 1, points=10), "a": (0, 1)}, 10)
+    x = np.full((400, inputs.dimension), 0.5)
+    moved = Candidates(inputs, np.random.default_rng(0)).moved(x)
+    assert ((moved >= 0) & (moved <= 1)).all()
+    share = (moved != x).mean(axis=1)
+    assert 0.4 < share.mean() < 0.9
+    assert share.max() == 1
+    sizes = np.array([np.abs(row[row != 0.5] - 0.5).mean() for row in moved if (row != 0.5).any()])
+    assert np.quantile(sizes, 0.9) > 2.5 * np.quantile(sizes, 0.1)
+
+
+def test_mixed_points_have_coordinates_at_ends():
+    inputs = Inputs({"u": Signal(0, 1, points=10)}, 10)
+    found = Candidates(inputs, np.random.default_rng(0)).mixed(400)
+    assert 0.3 < np.isin(found, [0, 1]).mean() < 0.5
+    assert len(np.unique(found)) > 2000
+
+
+def test_points_are_random_where_scores_lead_nowhere_or_nothing_finds_better_ones():
+    """Flat scores: random points alone. Scores of pure noise: random points among the others."""
+    inputs, rng = Inputs({"u": Signal(0, 1, points=6)}, 6), np.random.default_rng(0)
+    for noisy in (False, True):
+        portfolio = Portfolio(stl.parse("x > 0"), inputs, np.random.default_rng(0))
+        asked = []
+        portfolio._proposal = lambda kind, ask=portfolio._proposal, asked=asked: (asked.append(kind), ask(kind))[1]
+        for _ in range(100):
+            portfolio.tell(portfolio.ask(), {"x": np.array([2 + noisy * rng.random()])})
+        assert (asked[20:].count("random") == len(asked[20:])) != noisy
+        assert asked[20:].count("random") >= 8
+
+
 def test_the_model_sees_the_shortest_inner_window():
     assert _steps(stl.parse("G[0,999] (x > 0)"), 1000) == 64
     assert _steps(stl.parse("G[0,900] (x > 0 -> F[1,101] (G[0,1] (y > 0)))"), 1000) == 160

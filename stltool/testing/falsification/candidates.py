@@ -17,6 +17,8 @@ from stltool.testing.falsification.inputs import F64, Inputs
 _CORNERS = 8
 _EXTREME = 0.6  # share of pieces that are at an end of their range
 _EXTREME_NUMBER = 0.15
+_MIXED = 0.4
+_LEAST_MOVE, _MOST_MOVE = 0.06, 0.3  # standard deviations
 _BY_PIECES = 0.5  # share of variations that respect the pieces a signal has
 _GROWING = 0.3  # of those, how many move a change in time rather than a level
 
@@ -69,6 +71,12 @@ class Candidates:
 
     def uniform(self, n: int = 1) -> F64:
         return self._rng.random((n, self.inputs.dimension))
+
+    def mixed(self, n: int = 1) -> F64:
+        """As uniform ones, of which some coordinates are at ends of their ranges."""
+        x = self.uniform(n)
+        found: F64 = np.where(self._rng.random(x.shape) < _MIXED, np.round(x), x)
+        return found
 
     def pieces(self, n: int = 1) -> F64:
         """Signals of a few pieces."""
@@ -128,6 +136,14 @@ class Candidates:
         moved = rng.random(x.shape) < chance
         moved[np.arange(len(x)), rng.integers(0, x.shape[1], len(x))] = True
         found: F64 = np.clip(x + moved * rng.normal(0, spread, x.shape), 0, 1)
+        return found
+
+    def moved(self, x: F64) -> F64:
+        """Rows of which most coordinates have moved together, by little or by much."""
+        rng = self._rng
+        spread = _LEAST_MOVE * (_MOST_MOVE / _LEAST_MOVE) ** rng.random((len(x), 1))
+        moves = rng.random(x.shape) < rng.uniform(0.4, 1, (len(x), 1))
+        found: F64 = np.clip(x + moves * spread * rng.normal(size=x.shape), 0, 1)
         return found
 
     def drawn(self, rows: int, n: int) -> NDArray[np.int64]:

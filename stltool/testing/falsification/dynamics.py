@@ -200,7 +200,8 @@ class Dynamics:
         return np.concatenate(parts, axis=1)
 
     def _lifted(self, z: F64) -> F64:
-        return np.concatenate([_with_one(z), np.cos(z @ self._w + self._b)], axis=1)
+        """φ(z); the cosines, which take most of the time, in single precision."""
+        return np.concatenate([_with_one(z), np.cos((z @ self._w + self._b).astype(np.float32))], axis=1)
 
 
 class Surprise:

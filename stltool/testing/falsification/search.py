@@ -3,15 +3,17 @@
     corners     all inputs constant at ends of their ranges       pieces   signals of a few pieces
     impulses    one input differs from the others' rest a while   uniform  points without any structure
     dynamics    a learned model of the system                     surface  a response surface of the scores
-    vary        variations of the best points
+    vary        the best points, with pieces changed              move     the best points, most coordinates moved
+    random      uniform points, in turn with some at ends
 
 The first ones are corners: all inputs at rest, each alone at its far end, all of them there. A uniform point is among
-them, and from the fifth execution on most proposals are the model's. Later dynamics, surface and variations share five
-turns of six. A kind comes the more often, the more of its proposals were better than four fifths of the executions
-before them (Thompson sampling [Russo18]): one system can be seen through by a model, in another only small steps lead
-on. The sixth turn is one of the others', so that no kind of violation is out of reach.
+them, and from the fifth execution on most proposals are the model's. Later dynamics, surface, both kinds of variation
+and random points share five turns of six. A kind comes the more often, the more of its proposals were better than four
+fifths of the executions before them (Thompson sampling [Russo18]): a model can see through one system, in another only
+small steps lead on, and where nothing does, as many points are random as of any other kind. The sixth turn is one of
+the others', so that no kind of violation is out of reach.
 Where most executions have the same score (a requirement over labels or a signal of few values), also with times
-(strict.py), scores lead nowhere: then points are drawn without them.
+(strict.py), scores lead nowhere: then all points are random.
 """
 
 from __future__ import annotations
@@ -31,12 +33,11 @@ from stltool.testing.falsification.tried import Tried
 _START = (
     "corner", "corner", "uniform", "corner", "learned", "learned", "corner", "learned", "impulse", "learned", "pieces",
 )  # fmt: skip
-_SHARING = ("dynamics", "surface", "vary")
+_SHARING = ("dynamics", "surface", "vary", "move", "random")
 _EXPLORING = ("pieces", "impulse", "uniform")
 _EXPLORED = 6  # turns, of which one explores
 _GOOD = 0.2  # share of the executions whose scores are good ones
 _REMEMBERED = 0.95  # of what a kind has shown, from one of its turns to the next
-_FLAT = ("uniform", "uniform", "uniform", "pieces", "uniform", "uniform")
 _PARENTS = 3  # executions that are varied: the best ones
 _PATIENCE = 40  # executions without a better one, after which others than the best are varied
 _VARIED = 20  # variations, of which the first that may violate is executed
@@ -62,7 +63,7 @@ class Portfolio:
         while self._start:
             kind = self._start.pop(0)
             if kind == "learned":
-                kind = "uniform" if self._tried.scores.flat else "dynamics"
+                kind = "random" if self._tried.scores.flat else "dynamics"
             if kind != "corner":
                 return self._proposal(kind)
             if self._corners:
@@ -70,7 +71,7 @@ class Portfolio:
                 return self._corners.pop(0)
         turn, self._turn = self._turn, self._turn + 1
         if self._tried.scores.flat:
-            return self._proposal(_FLAT[turn % len(_FLAT)])
+            return self._proposal("random")
         if turn % _EXPLORED == _EXPLORED - 1:
             return self._proposal(_EXPLORING[turn // _EXPLORED % len(_EXPLORING)])
         kind = max(_SHARING, key=lambda kind: self._rng.beta(*self._shown[kind]))
@@ -101,10 +102,16 @@ class Portfolio:
             found = self._candidates.impulses()[0]
         elif kind == "uniform":
             found = self._candidates.uniform()[0]
+        elif kind == "random":
+            found = (self._candidates.mixed() if len(tried) % 2 else self._candidates.uniform())[0]
         if found is None:
             best = self._worth_varying()
             parents = best[self._candidates.drawn(min(len(best), _PARENTS), _VARIED)]
-            varied = self._candidates.varied(tried.points[parents], tried.relevant[parents])
+            points = tried.points[parents]
+            if kind == "move":
+                varied = self._candidates.moved(points)
+            else:
+                varied = self._candidates.varied(points, tried.relevant[parents])
             found = varied[int(np.argmin(tried.settled(varied)))]  # the first that is not
         return found
 
