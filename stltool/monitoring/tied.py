@@ -19,6 +19,8 @@ from collections.abc import Callable, Mapping
 from fractions import Fraction
 from typing import Any, TypeAlias
 
+import numpy as np
+
 from stltool.logic.formula import Comparison
 from stltool.logic.occurring import projected
 from stltool.logic.regions import Constraint, Linear, alternatives
@@ -46,7 +48,13 @@ class Tied:
     """Decides the open steps of a running trace by truths and values."""
 
     def __init__(self, engine: Engine, horizon: int, unions: list[list[tuple[Union, Union]]]) -> None:
-        self._unions, self._horizon = unions, horizon
+        self._horizon = horizon
+        numbers: dict[Union, int] = {}
+        self._ends = [[tuple(numbers.setdefault(end, len(numbers)) for end in ends) for ends in row] for row in unions]
+        constraints = list(dict.fromkeys(one for union in numbers for polyhedron in union for one in polyhedron))
+        at = {one: i for i, one in enumerate(constraints)}
+        self._unions = [[[at[one] for one in polyhedron] for polyhedron in union] for union in numbers]
+        self._constraints = _Constraints(constraints)
         self._open = OpenSteps(engine)
         self._told: dict[int, bool] = {}
 
@@ -62,16 +70,62 @@ class Tied:
 
     def read(self, truths: list[bool], values: Mapping[str, list[float]]) -> list[Found]:
         """The steps that are decided by a sample, in order. `values`: of each signal the last ones, newest first."""
-        exact = {_at(name, i): shortest(x) for name, last in values.items() for i, x in enumerate(last)}
-        found = sorted([*self._open.read(truths), *self._open.decided(lambda q, c: self._decided(q, c, exact))])
+        holds = self._constraints.at(values)
+        known: dict[int, bool] = {}  # of unions
+
+        def contains(union: int) -> bool:
+            if union not in known:
+                known[union] = any(all(map(holds.__getitem__, one)) for one in self._unions[union])
+            return known[union]
+
+        def decided(q: int, clock: int) -> bool | None:
+            no, yes = map(contains, self._ends[clock][q])
+            return None if no == yes else yes
+
+        found = sorted([*self._open.read(truths), *self._open.decided(decided)])
         self._told |= dict(found)
         for step in [step for step in self._told if step < self._open.n_steps - self._horizon - 1]:
             del self._told[step]
         return found
 
-    def _decided(self, q: int, clock: int, values: dict[str, Fraction]) -> bool | None:
-        no, yes = (any(_holds(one, values) for one in union) for union in self._unions[clock][q])
-        return None if no == yes else yes
+
+class _Constraints:
+    """Linear constraints, judged in doubles where these are certain, and in fractions elsewhere."""
+
+    def __init__(self, constraints: list[Constraint]) -> None:
+        self._given = constraints
+        names = dict.fromkeys(name for one in constraints for name, _ in one.term.coefficients)
+        self._names = {name: i for i, name in enumerate(names)}
+        self._samples = [(base, int(steps)) for base, _, steps in (name.rpartition("\n") for name in names)]
+        self._factors = np.zeros((len(constraints), len(names)))
+        for i, one in enumerate(constraints):
+            for name, k in one.term.coefficients:
+                self._factors[i, self._names[name]] = _double(k)
+        self._added = np.array([_double(one.term.constant) for one in constraints])
+        self._less = np.array([one.relation != "=" for one in constraints], dtype=np.bool_)
+        self._sizes = np.abs(self._factors), np.abs(self._added)
+
+    def at(self, values: Mapping[str, list[float]]) -> list[bool]:
+        """Which of them hold."""
+        samples = [values[base][steps] for base, steps in self._samples]
+        x = np.array(samples)
+        with np.errstate(all="ignore"):
+            sums = self._factors @ x + self._added
+            # each factor, sample, product and sum is rounded once
+            error = (len(x) + 8) * 2.0**-53 * (self._sizes[0] @ np.abs(x) + self._sizes[1]) + 1e-300
+            holds: list[bool] = ((sums < 0) & self._less).tolist()
+            unsure = np.flatnonzero(~(np.abs(sums) > error)).tolist()
+        if unsure:
+            exact = dict(zip(self._names, map(shortest, samples), strict=True))
+            for i in unsure:
+                term, relation = self._given[i].term, self._given[i].relation
+                holds[i] = bool(Constraint(Linear((), term.at(exact)), relation).decided)
+        return holds
+
+
+def _double(x: Fraction) -> float:
+    """The nearest double, infinite for what is not near to one, as a sum's value is then not known."""
+    return float(x) if x == 0 or 2.0**-900 < abs(x) < 2.0**900 else math.inf
 
 
 def tied(engine: Engine, horizon: int, made: Mapping[str, tuple[str, int]]) -> Tied | None:
@@ -200,7 +254,3 @@ def _earlier(name: str) -> str:
 def _renamed(row: Constraint, name_of: Callable[[str], str]) -> Constraint:
     coefficients = {name_of(name): k for name, k in row.term.coefficients}
     return Constraint(Linear.of(coefficients, row.term.constant), row.relation)
-
-
-def _holds(polyhedron: Polyhedron, values: dict[str, Fraction]) -> bool:
-    return all(Constraint(Linear((), row.term.at(values)), row.relation).decided for row in polyhedron)

@@ -16,7 +16,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 import stltool as stl
@@ -46,8 +46,11 @@ from stltool.logic.formula import (
     lookback,
     variables,
 )  # fmt: skip
+from stltool.logic.regions import Constraint, Linear
 from stltool.monitoring import Decision, early, searched, starts, stream
 from stltool.monitoring import online as online_module
+from stltool.monitoring.tied import _Constraints
+from stltool.numbers import shortest
 from stltool.testing import formulas, traces
 from tests.conftest import many
 from tests.diagnosis.test_causes import CASES, random_formula
@@ -253,6 +256,24 @@ def test_decisions_by_values_are_told_once_and_in_blocks_too():
     assert [d.step for d in single.finish()] == [t for t in range(len(x)) if t not in told]
     copied = pickle.loads(pickle.dumps(single))
     assert copied.feed({"x": 9.0}) == single.feed({"x": 9.0}) != []
+
+
+@given(
+    rows=st.lists(
+        st.tuples(*[st.fractions(-3, 3, max_denominator=20)] * 3, st.sampled_from(["<", "<=", "="])),
+        min_size=1, max_size=6,
+    ),
+    samples=st.lists(st.sampled_from([0.1, 0.2, 0.3, -0.1, 1e-9, 1e9, 0.0, 5e-324, 1e308]), min_size=2, max_size=2),
+)  # fmt: skip
+@example(rows=[(Fraction(1), Fraction(1), Fraction(-3, 10), "<=")], samples=[0.1, 0.2])
+@example(rows=[(Fraction(1, 3**800), Fraction(0), Fraction(0), "<=")], samples=[1e308, 0.2])
+def test_linear_constraints_are_judged_as_in_fractions(rows, samples):
+    names = [f"x\n{i}" for i in range(2)]
+    given_ = [Constraint(Linear.of(dict(zip(names, row, strict=False)), row[2]), row[3]) for row in rows]
+    given_ = list(dict.fromkeys(given_))
+    exact = dict(zip(names, map(shortest, samples), strict=True))
+    holds = [Constraint(Linear((), one.term.at(exact)), one.relation).decided for one in given_]
+    assert _Constraints(given_).at({"x": samples}) == holds
 
 
 def test_what_is_too_large_for_values_is_possibly_late():
