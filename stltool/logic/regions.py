@@ -343,12 +343,56 @@ def _relation(term: Linear, op: Comparator) -> list[tuple[Constraint, ...]]:
 
 
 def alternatives(phi: Comparison, truth: bool) -> list[tuple[Constraint, ...]] | None:
-    """The comparison, or its negation, as a union of polyhedra; None if it is not piecewise linear."""
+    """The comparison, or its negation, as a union of polyhedra; None if it is not piecewise linear.
+
+    The sign of a product is that of its factors, so a product may be compared with 0.
+    """
     op = phi.op if truth else OPPOSITE[phi.op]
+    if _ZERO in (phi.left, phi.right):
+        product, relation = (phi.right, MIRROR[op]) if phi.left == _ZERO else (phi.left, op)
+        if 1 < len(factors := _factors(product)) <= _MOST_FACTORS:
+            return _of_product(factors, relation)
     found = cases(Arithmetic("-", phi.left, phi.right))
     if found is None:
         return None
     return [(*under, *rest) for under, term in found for rest in _relation(term, op)]
+
+
+_ZERO = Number(0.0)
+_MOST_FACTORS = 4
+
+
+def _factors(term: Term) -> list[Term]:
+    match term:
+        case Arithmetic("*", left, right):
+            return _factors(left) + _factors(right)
+        case Arithmetic("^", left, Number(n)) if n == int(n) and 1 <= n <= _MOST_FACTORS:
+            return _factors(left) * int(n)
+        case _:
+            return [term]
+
+
+def _of_product(factors: list[Term], op: Comparator) -> list[tuple[Constraint, ...]] | None:
+    """A product compared with 0, by the signs of its factors."""
+    different = list(dict.fromkeys(factors))
+    signs: list[dict[int, list[tuple[Constraint, ...]]]] = []
+    for factor in different:
+        found = cases(factor)
+        if found is None:
+            return None
+        relations: dict[int, Comparator] = {-1: "<", 0: "==", 1: ">"}
+        signs.append({
+            sign: [(*under, *rest) for under, term in found for rest in _relation(term, relation)]
+            for sign, relation in relations.items()
+        })  # fmt: skip
+    made = []
+    for chosen in itertools.product((-1, 0, 1), repeat=len(different)):
+        if _HOLDS[op](math.prod(sign ** factors.count(one) for one, sign in zip(different, chosen, strict=True))):
+            for parts in itertools.product(*(of[sign] for of, sign in zip(signs, chosen, strict=True))):
+                made.append(tuple(itertools.chain(*parts)))
+        if len(made) > _MOST_CASES:
+            return None
+    return made
 
 
 class Polyhedron:

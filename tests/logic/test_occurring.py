@@ -16,7 +16,21 @@ from stltool.logic.roots import truths_of_one_signal
 from stltool.logic.shifts import with_variables
 from tests.conftest import many
 
-TERMS = ("x", "y", "z", "x - y", "x + 2 * y", "abs(x) - z", "max(x, y)", "y - z", "x - y - 2", "x * y", "x * x")
+TERMS = (
+    "x",
+    "y",
+    "z",
+    "x - y",
+    "x + 2 * y",
+    "abs(x) - z",
+    "max(x, y)",
+    "y - z",
+    "x - y - 2",
+    "x * y",
+    "x * x",
+    "x * (y - 2)",
+    "x^2 * abs(y)",
+)
 VALUES = (-7.0, -2.0, -0.5, 0.0, 0.5, 1.0, 2.0, 2.5, 9.0)
 COMPARISONS = st.builds("{} {} {}".format, st.sampled_from(TERMS), st.sampled_from([">", "<=", "=="]), st.sampled_from(
     ["0", "2", "x", "z"]))  # fmt: skip
@@ -61,6 +75,9 @@ def test_what_occurs_whatever_a_signal_is_occurs_for_each_of_its_values(read, da
         ("x > y & y > z & x > z", (), "000 010 011 100 101 111", True),
         ("x > y & y >= z & x < z", (), "001 010 011 100 101 110", True),
         ("x + y > 3 & x - y > 1 & x > 2", (), "000 010 011 100 101 111", True),
+        ("x * y == 0 & x > 0 & y > 2", (), "000 001 010 011 100 101 110", True),
+        ("x^2 * (y - 1) < 0 & y > 2 & x > 3", (), "000 001 010 011 100 101", True),
+        ("0 < x * x * y & 0 != x & y >= 0", (), "000 001 010 011 111", True),
         ("x * y > 1 & x > y", (), "00 01 10 11", True),
         ("x * x > 4 & x^3 <= 8", (), "01 10 11", True),
         ("x * x == 2 & x > 1", (), "00 01", True),  # no decimal is a root of 2
