@@ -10,7 +10,8 @@ is as early as in any cause.
                alternative is needed (`Sheet.critical`) are kept without a test
     automaton  one sweep backwards. good_s is the set of automaton states from which every continuation that agrees with
                the samples kept at steps s, s + 1, … gets the verdict; the sample can go if δ(λ, q_s) is in good_{s+1}
-               for every letter λ that agrees with what is kept at step s, q_s being the state that the trace reaches
+               for every letter λ that agrees with what is kept at step s, q_s being the state that the trace reaches.
+               Where the last sample is held, good is found for each letter that goes on from there
 
 Kleene's test is exact for formulas that are `one_sided`; for others the automaton's is, if it is small enough. Where
 neither is, Kleene's cause is still minimal if for each of its samples there is a trace that agrees on all others and
@@ -56,22 +57,21 @@ class Cause:
 def find_cause(known: Knowledge, at: int, truth: bool, fixed: int | None, progress: Progress | None = None) -> Cause:
     """The colex-least cause of the verdict `truth` at step `at` of the block.
 
-    Samples from step `fixed` on are kept as they are.
+    Samples from step `fixed` on are one sample, which is held.
     """
     if not known.names:
         return Cause(np.zeros((known.block.steps, 0), dtype=np.bool_), None)
     doubt = None
-    if fixed is not None:
-        return Cause(by_kleene(known, at, truth, fixed, progress), "the last sample is held, so it is kept whole")
     independent = realised(leaves(known.phi))
     if not independent or not one_sided(known.phi):
+        why = "a part matters in both directions" if independent else "comparisons share signals"
         try:
-            return by_automaton(known, at, truth)
+            return by_automaton(known, at, truth, fixed)
         except (SizeError, FragmentError) as refusal:
-            why = "a part matters in both directions" if independent else "comparisons share signals"
             doubt = f"{why}, and {refusal}"
-    kept = by_kleene(known, at, truth, None, progress)
-    return Cause(kept, doubt if doubt is not None and not each_is_needed(known, at, truth, kept) else None)
+    kept = by_kleene(known, at, truth, fixed, progress)
+    needed = doubt is None or (fixed is None and each_is_needed(known, at, truth, kept))
+    return Cause(kept, None if needed else doubt)
 
 
 # --------------------------------------------------------------------------------------------------------- by Kleene
@@ -107,6 +107,16 @@ class _Trial:
         flat[first:stop], self.values[:, a:b] = kept, values
         return False
 
+    def without_held(self, first: int, column: int) -> None:
+        """Leave out a signal at the steps from `first` on, if the others still force the verdict."""
+        if column in self.knowledge.facts:
+            return
+        values = self.values[:, first:].copy()
+        self.kept[first:, column] = False
+        self.values[:, first:] = self.knowledge.values(self.kept[first:], first)
+        if not self.holds():
+            self.kept[first:, column], self.values[:, first:] = True, values
+
     def critical(self) -> NDArray[np.bool_]:
         """Samples that surely cannot be left out, in the flat order."""
         sheet = Sheet(self.knowledge, self.kept)
@@ -126,8 +136,14 @@ class _Trial:
 def by_kleene(
     known: Knowledge, at: int, truth: bool, fixed: int | None = None, progress: Progress | None = None
 ) -> Known:
-    """The least set on which Kleene's evaluation decides, among those with all samples from step `fixed` on."""
+    """The least set on which Kleene's evaluation decides; samples from step `fixed` on are one sample.
+
+    That one is as good, or as bad, at every step, so Kleene's evaluation is exact for it where it is for others.
+    """
     trial = _Trial(known, at, truth)
+    if fixed is not None:
+        for column in reversed(range(trial.width)):
+            trial.without_held(fixed, column)
     total = end = trial.kept.size if fixed is None else fixed * trial.width
     critical = np.zeros(trial.kept.size, dtype=np.bool_)
     tested, patience = 0, _PATIENCE
@@ -174,11 +190,15 @@ def _longest(trial: _Trial, end: int) -> int:
 # ------------------------------------------------------------------------------------------------------ by automaton
 
 
-def by_automaton(known: Knowledge, at: int, truth: bool) -> Cause:
-    """The least cause; SizeError with the reason if there is no automaton for it, or none small enough."""
-    if known.block.end != "open":
+def by_automaton(known: Knowledge, at: int, truth: bool, fixed: int | None = None) -> Cause:
+    """The least cause; SizeError with the reason if there is no automaton for it, or none small enough.
+
+    Samples from step `fixed` on are one sample.
+    """
+    n = known.block.steps if fixed is None else fixed + 1
+    held = known.block.end == "hold" or fixed is not None
+    if known.block.end == "cut" or (held and known.facts):
         raise SizeError("the automaton judges whole windows only")
-    n = known.block.steps
     phi = Eventually(Interval(at, at), known.phi) if at else known.phi
     read = leaves(phi)
     rows, complete = feasible_valuations(read, _MOST_VALUATIONS)
@@ -202,18 +222,27 @@ def by_automaton(known: Knowledge, at: int, truth: bool) -> Cause:
             settled = step
             break
 
-    good: NDArray[np.bool_] = np.ones(automaton.n_states, dtype=np.bool_)
-    kept = np.zeros((n, len(known.names)), dtype=np.bool_)
-    for step in reversed(range(n)):
+    good = np.ones((automaton.n_letters, automaton.n_states), dtype=np.bool_)  # by the letter that led there
+    every = np.arange(automaton.n_letters)[:, None]
+    kept = np.zeros((known.block.steps, len(known.names)), dtype=np.bool_)
+    facts = sum(1 << column for column in known.facts)
+    for step in reversed(range(automaton.horizon + 1 if held else n)):
         verdicts = automaton.verdicts(min(step, automaton.horizon))
         good = np.where(verdicts == UNDECIDED, good, verdicts == wanted)
-        mask = 0 if step > settled else letters.all
-        for column in reversed(range(len(known.names)) if mask else ()):
+        if step >= n:  # the letter of the last sample goes on
+            good = good[every, automaton.delta]
+            continue
+        mask = facts if step > settled else letters.all
+        for column in reversed(range(len(known.names)) if step <= settled else ()):
             less = mask & ~(1 << column)
-            if column not in known.facts and good[automaton.delta[letters.of(step, less), states[step]]].all():
+            allowed = letters.of(step, less)
+            if column not in known.facts and good[allowed, automaton.delta[allowed, states[step]]].all():
                 mask = less
         kept[step] = [mask >> column & 1 for column in range(len(known.names))]
-        good = np.asarray(good[automaton.delta[letters.of(step, mask)]].all(axis=0))
+        allowed = letters.of(step, mask)
+        before = good[allowed[:, None], automaton.delta[allowed]].all(axis=0)
+        good = np.broadcast_to(before, good.shape)
+    kept[n:] = kept[n - 1]
     return Cause(kept, letters.doubt)
 
 
