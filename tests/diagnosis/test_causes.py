@@ -136,6 +136,22 @@ def test_causes_force_the_verdict_where_windows_pass_the_end(end):
     assert cases / 2 < minimal <= cases
 
 
+@pytest.mark.parametrize(
+    ("text", "causes"),
+    [
+        ("a -> F[1,1] a", {"a": []}),
+        ("a & F[1,3] !a", {"a": []}),
+        ("a <-> F[1,1] b", {"a": [1], "b": [1]}),
+        ("F[0,2] (a & b) <-> G[1,2] b", {"a": [1], "b": []}),
+        ("G[0,3] (b <-> F[1,2] b) & once[0,1] (a <-> F[2,2] b)", {"a": [0, 1], "b": []}),  # either b
+    ],
+)
+def test_a_sample_that_is_held_is_one_sample(text, causes):
+    told = stl.diagnose(stl.parse(text), {"a": [0, 1], "b": [0, 1]}, 1, end="hold")
+    assert {name: steps.tolist() for name, steps in told.causes.items()} == causes
+    assert told.minimal
+
+
 @given(phi=formulas(past=True), data=st.data())
 def test_other_samples_may_change_freely(phi, data):
     end = data.draw(st.sampled_from(["error", "cut", "hold"]))
