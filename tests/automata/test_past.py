@@ -304,10 +304,25 @@ def test_meaning_and_vacuity_of_the_past():
     assert stl.meaning(stl.parse("F[0,4] (a & once[1,2] b)")).vacuous == ()
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "F[0,3] (b & rise F[0,1] a)", "G[1,3] (a | rise (a U[0,1] b))", "F[0,2] (b since[0,2] F[0,2] a)",
+        "G[0,2] (a | (F[0,2] b) since[0,1] a)", "F[1,2] ((G[0,2] a) since[1,2] b)", "G[0,3] (b | once[0,0] F[0,2] a)",
+    ],
+)  # fmt: skip
+def test_a_past_of_a_future_on_every_trace(text):
+    phi = stl.parse(text)
+    traces = every_trace(stl.horizon(phi) + 1)
+    expected = stl.monitor(phi, traces, at=0).verdicts[:, 0]
+    assert np.array_equal(judge_all(stl.compile_automaton(phi), traces), expected)
+
+
 def test_states_say_what_they_remember():
     automaton = stl.compile_automaton(stl.parse("G[0,20] (a -> once[0,3] b)"))
     phrases = {one.phrase for q in range(automaton.n_states) for one in automaton.memory(q)}
     assert any(phrase.endswith("so far; b 2 steps ago") for phrase in phrases), phrases
+    assert any(phrase.endswith("so far; b 1 step ago") for phrase in phrases), phrases
     automaton = stl.compile_automaton(stl.parse("G[0,20] ((F[0,2] a) since[0,3] b)"))
     phrases = {one.phrase for q in range(automaton.n_states) for one in automaton.memory(q)}
     assert any(phrase.endswith("b 2 steps ago if F[0,1] a") for phrase in phrases), phrases

@@ -18,7 +18,7 @@ import stltool as stl
 from stltool import recheck
 from stltool.checking import proof, require_certificate_of
 from stltool.checking.induction import layers_of
-from stltool.errors import CertificateError, FileError, ModelError, RefusedError, SizeError
+from stltool.errors import ArgumentError, CertificateError, FileError, ModelError, RefusedError, SizeError
 from stltool.reporting import check_data
 from tests import oracles
 from tests.conftest import ROOT, many
@@ -788,6 +788,8 @@ def test_a_certificate_of_another_task_or_model_is_named(tmp_path, patrolling, f
 
 
 def test_what_cannot_be_certified_is_said_first(tmp_path, patrolling):
+    with pytest.raises(ArgumentError, match="write_certificate's progress is 3, not a function"):
+        stl.write_certificate(stl.check(patrolling), tmp_path / "c.jsonl", progress=3)
     with pytest.raises(SizeError, match="certifying 468 product states over 8 steps would take"):
         stl.write_certificate(stl.check(patrolling), tmp_path / "c.jsonl", memory_limit=1000)
     (tmp_path / "folder.jsonl").mkdir()

@@ -5,7 +5,7 @@ import pytest
 
 import stltool as stl
 from stltool.automata import TRUE, UNDECIDED
-from stltool.checking.situations import Situations, policy_numbers, reachable
+from stltool.checking.situations import NO_ACTION, Situations, policy_numbers, reachable
 from stltool.errors import SizeError
 from tests.conftest import many
 from tests.reporting.test_twin import random_product
@@ -53,6 +53,21 @@ def test_the_first_values_add_up_to_the_probability(patrolling):
             patrolling.model.initial[s] * here.value(0, s, patrolling.enter(s, automaton.initial)) for s in first
         )
         assert total == pytest.approx(stl.check(patrolling, policy).probability, abs=1e-14)
+
+
+@pytest.mark.parametrize("mixed", [False, True])
+def test_a_function_has_no_action_where_its_runs_do_not_come(mixed):
+    """It goes to A at once, where all is decided; the other choice stays where it is."""
+    transitions = np.array([[[0, 1], [0, 1]], [[1, 0], [0, 1]]], dtype=float)
+    model = stl.MDP.from_arrays(transitions, {}, labels={"A": np.array([False, True])})
+    product = stl.build_product(model, stl.parse("F[0,3] A"))
+    policy = stl.Policy.from_function(product, lambda here: [1.0, 0.0] if mixed else 0, mixed=mixed)
+    nodes = reachable(product)
+    assert len(nodes) > 1
+    assert min(map(len, nodes)) > 0
+    numbers, mixtures = policy_numbers(product, policy, nodes)
+    assert numbers.tolist() == [0] * len(nodes[0]) + [NO_ACTION] * sum(map(len, nodes[1:]))
+    assert mixtures.shape == (0, 2)
 
 
 def test_what_is_reached_is_counted_before_it_is_kept(patrolling, monkeypatch):

@@ -63,6 +63,14 @@ def test_what_is_proved_is_the_best_of_all(product, memory, maximize):
         assert (result.policy.row(0) == result.policy.row(0)[:, :1]).all()
 
 
+@pytest.mark.parametrize("most", [2, 3, 4, 5])
+def test_a_bound_is_that_of_the_most_promising_of_what_is_left(most):
+    """A product where other parts that are left promise less than the best policy has."""
+    product = small(11)
+    best = max(enumerated(product, "none"))
+    assert Fraction(stl.stationary(product, memory="none", most=most).bound) >= best
+
+
 @given(products(states=3, longest=1), st.sampled_from(["automaton", "none"]), st.booleans(), st.integers(0, 3))
 @settings(max_examples=many(60))
 def test_a_search_that_stops_early_is_still_right(product, memory, maximize, most):

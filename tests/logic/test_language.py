@@ -337,6 +337,20 @@ def test_plain_numbers_mean_what_the_unit_line_says():
             stl.parse("a", unit=unit)
 
 
+@pytest.mark.parametrize(
+    ("bound", "step", "says"),
+    [
+        ("3", "0.1s", r"3 could be 3s \(30 steps\) or 3 steps \(0.3s\)"),
+        ("2", "0.3s", r"2 could be 2 steps \(0.6s\): .*; write 2 steps, or give unit='step'"),
+        ("2.5", "0.1s", r"2.5 could be 2.5s \(25 steps\): .*; write 2.5s, or give unit='s'"),
+        ("2.5", "0.3s", "2.5 is neither an integer number of steps nor, as 2.5s, a multiple of the step, 0.3s"),
+    ],
+)
+def test_a_plain_number_next_to_a_step_is_told_what_it_could_be(bound, step, says):
+    with pytest.raises(StlSyntaxError, match=says):
+        stl.parse(f"F[0,{bound}] a", step=step)
+
+
 def test_the_step_that_is_advised_fits_every_bound():
     text = "param t1 = 0.3, slack = 0.001\na := F[0,0.02] (x > slack)\nr := F[0.05,t1] a"
     with pytest.raises(StlSyntaxError) as caught:

@@ -85,7 +85,7 @@ def test_comparisons_of_all_kinds(text, verdict):
     [
         *(f"x * x {op} 4" for op in ("<", "<=", ">", ">=", "==", "!=")),
         "min(x, y) > 2", "min(x, y) <= 2", "max(x, y, 3) < 5", "max(x, 2 * y) >= 7", "abs(x - y) < 1",
-        "x > 2 & x >= 2", "x >= 2 & x > 2", "x < 3 & x <= 3", "x + y < 3 & x + y <= 3 & y >= 1",
+        "3 * x >= 2 & 5 * x < 4", "x > 7 & 4 * x < 29", "x > 2 & x >= 2", "x >= 2 & x > 2", "x < 3 & x <= 3", "x + y < 3 & x + y <= 3 & y >= 1",
     ],
 )  # fmt: skip
 def test_borders_are_on_the_right_side(text):
@@ -95,6 +95,12 @@ def test_borders_are_on_the_right_side(text):
         made = Constructor(phi, ranges)
         for draw in (lambda n: 0, *[lambda n: int(rng.integers(n))] * 40):
             assert stl.satisfies(phi, made.build(draw))
+
+
+def test_every_part_of_a_region_is_drawn_from():
+    rng, made = np.random.default_rng(0), Constructor(stl.parse("x != 4"), {"x": (Fraction(0), Fraction(9))})
+    drawn_ = [made.build(lambda n: int(rng.integers(n)))["x"][0] for _ in range(60)]
+    assert min(drawn_) < 4 < max(drawn_)
 
 
 def test_near_misses_are_near_and_no_nearer_than_they_can_be():
