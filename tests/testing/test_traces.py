@@ -85,7 +85,8 @@ def test_comparisons_of_all_kinds(text, verdict):
     [
         *(f"x * x {op} 4" for op in ("<", "<=", ">", ">=", "==", "!=")),
         "min(x, y) > 2", "min(x, y) <= 2", "max(x, y, 3) < 5", "max(x, 2 * y) >= 7", "abs(x - y) < 1",
-        "3 * x >= 2 & 5 * x < 4", "x > 7 & 4 * x < 29", "x > 2 & x >= 2", "x >= 2 & x > 2", "x < 3 & x <= 3", "x + y < 3 & x + y <= 3 & y >= 1",
+        "3 * x >= 2 & 5 * x < 4", "x > 7 & 4 * x < 29",
+        "x > 2 & x >= 2", "x >= 2 & x > 2", "x < 3 & x <= 3", "x + y < 3 & x + y <= 3 & y >= 1",
     ],
 )  # fmt: skip
 def test_borders_are_on_the_right_side(text):
