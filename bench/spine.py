@@ -21,9 +21,9 @@ import numpy as np
 import stltool as stl
 from stltool import kernels
 from stltool.checking import estimate_from
-from stltool.learning.optimism import Doubt
 from stltool.learning.problem import Problem
-from stltool.learning.tables import ClockedTable, Entries
+from stltool.learning.swept import CautiousTable, Transitions
+from stltool.learning.tables import Entries
 
 ROOT = Path(__file__).resolve().parent.parent
 FACTORY = ROOT / "examples" / "factory"
@@ -52,32 +52,50 @@ def check_ratio(product: stl.Product) -> str:
 
 
 def update_ratio(product: stl.Product) -> str:
-    problem, rng = Problem.of(product), np.random.default_rng(0)
-    rows = np.stack([rng.integers(n, size=2000) for n in (problem.n_states, 9, problem.n_states)], axis=1)
-    rows = rows.astype(np.int32)
-    entries = Entries(problem)
-    visits = np.full(entries.shape[:2], 10)
-    tables = [ClockedTable(entries, visits, Doubt(0.1), 0.02) for _ in range(2)]
-    trust = 1 - float(Doubt(0.1).share(visits, 10)[0, 0])
+    problem, rng, caution = Problem.of(product), np.random.default_rng(0), 0.1
+    entries, model = Entries(problem), product.model
 
-    def one_by_one(some: np.ndarray) -> None:
-        """As it is written down: an update a pair (t, q), the best next value looked up in the Q-table."""
-        Q, E, alpha = tables[1].Q, entries.E, 0.1
-        for s, a, s2 in some.tolist():
-            letter, after = problem.letter[s], entries.successor[problem.letter[s], problem.letter[s2]]
-            for e in range(entries.numbers[letter]):
-                value = Q[s2, :, after[e]].max() if after[e] < E else float(after[e] == E + 1)
-                Q[s, a, e] += alpha * (trust * value - Q[s, a, e])
+    def table_of(n: int) -> tuple[CautiousTable, Transitions, Callable[[], None], int]:
+        """A table, n transitions of the model, what replays them from the beginning, and how many updates that is."""
+        choice = rng.integers(model.n_choices, size=n)
+        counts = stl.Counts(model.n_choices, problem.n_states)
+        counts.add(choice, model.target[rng.integers(model.row_start[choice], model.row_start[choice + 1])])
+        table, transitions = CautiousTable(entries, caution), Transitions(problem, counts)
 
-    def updates(some: np.ndarray) -> int:
-        return int(entries.numbers[problem.letter[some[:, 0]]].sum())
+        def again() -> None:
+            table.visits[:] = 0
+            table.sweep(transitions)
 
-    few = rows[:20]
-    tables[0].update_all(few)
-    one_by_one(few)
-    assert np.array_equal(tables[0].Q, tables[1].Q)
-    fast = updates(rows) / best_of(7, lambda: tables[0].update_all(rows))
-    slow = updates(few) / best_of(3, lambda: one_by_one(few))
+        tried = (transitions.stored.visits > 0).sum(axis=1)
+        return table, transitions, again, int(tried @ entries.numbers[problem.letter])
+
+    few, transitions, again, updates = table_of(30)
+    plain = CautiousTable(entries, caution)
+
+    def one_by_one() -> None:
+        """As it is written down: an update a pair (t, q), the best next values looked up in the Q-table."""
+        Q, E, stored = plain.Q, entries.E, transitions.stored
+        rows = [(divmod(row, Q.shape[1]), np.flatnonzero(stored.row[: stored.size[0]] == row)) for row in
+                np.unique(stored.row[: stored.size[0]]).tolist()]  # fmt: skip
+        for t in range(problem.automaton.horizon - 1, -1, -1):
+            for (s, a), which in rows:
+                letter, n = problem.letter[s], stored.visits[s, a]
+                for e in range(entries.bounds[letter, t + 1], entries.bounds[letter, t]):
+                    value = 0.0
+                    for i in which:
+                        s2 = stored.target[i]
+                        after = entries.successor[letter, problem.letter[s2], e]
+                        value += stored.seen[i] / n * (Q[s2, :, after].max() if after < E else float(after == E + 1))
+                    Q[s, a, e] = (1 - caution / (n + caution)) * value + caution / (n + caution) * plain.worth[
+                        letter, e
+                    ]
+
+    again()
+    one_by_one()
+    assert np.allclose(few.Q, plain.Q, rtol=0, atol=1e-12)
+    slow = updates / best_of(3, one_by_one)
+    _, _, again, updates = table_of(2000)
+    fast = updates / best_of(7, again)
     return f"| Q updates a second ({fast:.3g}) | a loop over (t, q) with numpy ({slow:.3g}) | {fast / slow:.0f} × |"
 
 

@@ -102,7 +102,7 @@ CELLS = {
     "MarkovTest": ("stl.markov_test(training.counts)", "not rejected"),
     "Sweep": ("sweep", "1 scenario x 1 method x 2 seeds"),
     "SweepResult": ("stl.run_sweep(sweep, 'swept', workers=1)", "2 runs finished"),
-    "Cfer": ("stl.Cfer(replays=50)", "replays"),
+    "Cfer": ("stl.Cfer(optimism=0.5)", "optimism"),
     "ModelBased": ("stl.ModelBased()", "caution"),
     "Naive": ("stl.Naive()", "least_step"),
     "NaiveER": ("stl.NaiveER()", "batch"),

@@ -249,12 +249,12 @@ def test_integers_of_options_and_settings(text):
         with pytest.raises(typer.BadParameter):
             integer(text)
         whole = None
-    for name, found in (("memory", whole), ("optimism", value)):
+    for method, name, found in (("naive-er", "memory", whole), ("cfer", "optimism", value)):
         if found is not None and found > 0:
-            assert getattr(read_learner("cfer", False, [f"{name}={text}"]), name) == float(found)
+            assert getattr(read_learner(method, False, [f"{name}={text}"]), name) == float(found)
         else:
             with pytest.raises(SettingsError):
-                read_learner("cfer", False, [f"{name}={text}"])
+                read_learner(method, False, [f"{name}={text}"])
 
 
 def test_numbers_of_toml_keep_their_digits(tmp_path):

@@ -224,9 +224,7 @@ QUESTIONS = {
     "likely_runs": lambda product, n: stl.likely_runs(product, satisfied=True, count=n).runs,
     "estimate": lambda product, n: (stl.estimate(product, stl.check(product).policy, runs=n, seed=n)).satisfied,
     "sprt": lambda product, n: stl.sprt(product, stl.check(product).policy, 0.5, most_runs=n, seed=n).runs,
-    "learn": lambda product, n: (
-        stl.learn(product, "cfer", episodes=n, most_steps=n, evaluate_every=n, memory=n, replays=n, seed=n).history
-    ),
+    "learn": lambda product, n: stl.learn(product, "cfer", episodes=n, most_steps=n, evaluate_every=n, seed=n).history,
     "black_box": lambda product, n: stl.MDP.black_box(n, n, lambda rng: None).n_choices,
     "check": lambda product, n: stl.check(stl.build_product(product.model, WINDOW, most_states=n)).probability,
 }

@@ -163,5 +163,5 @@ CheckpointEvery = Annotated[float, typer.Option("--checkpoint-every", help="seco
 Seed = Annotated[int, typer.Option("--seed", "-s", help="seed of every random choice")]
 Set = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="NAME=VALUE", help="a setting of the method, e.g. replays=50; listed below"),
+    typer.Option("--set", metavar="NAME=VALUE", help="a setting of the method, e.g. optimism=0.5; listed below"),
 ]

@@ -393,7 +393,7 @@ def read_learner(method: str | None, faithful: bool, pairs: list[str] | None) ->
     cls = class_of(method, faithful)
     settings: dict[str, Any] = {}
     for pair in pairs or []:
-        name, text = read_pair(pair, "--set replays=50")
+        name, text = read_pair(pair, "--set optimism=0.5")
         if name in settings:
             raise SettingsError(f"--set {name} is given twice; give it once")
         if name in ("seed", "method", "faithful", *settings_of(Budget)):

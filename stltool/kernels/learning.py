@@ -3,9 +3,10 @@
 surrogate   Q (S, N, C):   Q[s,q,a] += α (r(q') + γ max Q[s',q',·] − Q[s,q,a])                  [Wang24, eq. 5]
 clocked     Q (S, C, E), V (S, E+2):   Q[s,a,e] += α ((1−g) V[s', succ(e)] + g · worth(e) − Q[s,a,e]),   V = max over a,
             g the share of (s, a) that leads outside, of doubt or of hope
+swept       the same with the mean of V[s', succ(e)] over all stored transitions of (s, a), and α = 1
 
-`env`, `table` and `replay` are the named tuples of kernels/tuples.py. Kernels pass int64 to each other, whatever arrays
-hold, so that each is compiled once.
+`env`, `table`, `replay` and `stored` are the named tuples of kernels/tuples.py. Kernels pass int64 to each other,
+whatever arrays hold, so that each is compiled once.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 
 from stltool.kernels.jit import kernel, part
 from stltool.kernels.rollout import inversion
-from stltool.kernels.tuples import Replay, Surrogate, Tables, one_state
+from stltool.kernels.tuples import Replay, Surrogate, Tables, one_state, stored_of
 
 F64: TypeAlias = NDArray[np.float64]
 I32: TypeAlias = NDArray[np.int32]
@@ -144,31 +145,152 @@ def clocked_update(
 
 
 @kernel
-def clocked_transitions(
-    Q: F64, V: F64, visits: I64, letter: I32, entries: I64, successor: I32, n_choices: I64, least: float,
-    share: F64, worth: F64, rows: I32,
-) -> None:  # fmt: skip
-    """Every open (t, q) for which real transitions, rows (n, 3) of (s, a, s'), are evidence, one after another.
+def clocked_best(Q: F64, s: int, e: int, n_choices: int, chance: float) -> int:
+    """The best choice of an entry, ties broken by `chance` in [0, 1)."""
+    best, ties = Q[s, 0, e], 1
+    for a in range(1, n_choices):
+        if Q[s, a, e] > best:
+            best, ties = Q[s, a, e], 1
+        elif Q[s, a, e] == best:
+            ties += 1
+    wanted = int(chance * ties)
+    for a in range(n_choices):
+        if Q[s, a, e] == best:
+            if wanted == 0:
+                return a
+            wanted -= 1
+    return 0
 
-    entries (n_letters,): how many a state has, those of the last step first; successor (n_letters, n_letters, E).
-    share (S, C) of every choice's value is `worth` (n_letters, E).
+
+@kernel
+def store(stored: Any, s: int, a: int, s2: int, n: int) -> bool:
+    """Store n transitions (s, a, s'), those of a choice in the order of s'; whether they are the first."""
+    row = s * stored.visits.shape[1] + a
+    before, i = -1, int(stored.of_choice[row])
+    while i >= 0 and stored.target[i] < s2:
+        before, i = i, int(stored.next_of_choice[i])
+    stored.visits[s, a] += n
+    if i >= 0 and stored.target[i] == s2:
+        stored.seen[i] += n
+        return False
+    new = int(stored.size[0])
+    stored.row[new], stored.target[new], stored.seen[new] = row, s2, n
+    stored.next_of_choice[new], stored.next_of_target[new] = i, stored.of_target[s2]
+    stored.of_target[s2] = new
+    if before < 0:
+        stored.of_choice[row] = new
+    else:
+        stored.next_of_choice[before] = new
+    stored.size[0] = new + 1
+    return True
+
+
+@kernel
+def clocked_sweep(
+    Q: F64, V: F64, stored: Any, letter: I32, bounds: I64, successor: I32, n_choices: I64, share: F64, worth: F64,
+    changed: Any,
+) -> None:  # fmt: skip
+    """Replay what is stored of every choice whose value may have changed, from the last step back to the first.
+
+    changed (S,): states of whose choices something else is stored now. share (S, C) of a choice's value is worth
+    (n_letters, E). bounds (n_letters, h + 1), successor (n_letters, n_letters, E): of learning/tables.py's `Entries`.
     """
-    for i in range(len(rows)):
-        s, a, s2 = rows[i, 0], rows[i, 1], rows[i, 2]
-        alpha, outside = max(least, 1.0 / visits[s, a]), share[s, a]
-        after, aside = successor[letter[s], letter[s2]], worth[letter[s]]
-        mine, values, ahead = Q[s, a], V[s], V[s2]
-        for e in range(entries[letter[s]]):  # later steps come first, so values of the same state are already updated
-            old = mine[e]
-            new = old + alpha * ((1.0 - outside) * ahead[after[e]] + outside * aside[e] - old)
-            mine[e] = new
-            if new >= values[e]:
-                values[e] = new
-            elif old == values[e]:
+    n_states, C = share.shape
+    # the step at which they may change, this one's and the next one's apart
+    state_due, choice_due = np.full((2, n_states), -1), np.full((2, n_states * C), -1)
+    for t in range(bounds.shape[1] - 2, -1, -1):
+        due, choices, following = state_due[t % 2], choice_due[t % 2], (t + 1) % 2
+        for s in range(n_states):
+            if not changed[s] and due[s] != t:
+                continue
+            mine = np.int64(letter[s])
+            lo, hi = bounds[mine, t + 1], bounds[mine, t]
+            if lo == hi:
+                continue
+            for a in range(n_choices[s]):
+                row = s * C + a
+                if stored.visits[s, a] == 0 or not (changed[s] or choices[row] == t):
+                    continue
+                values, outside = Q[s, a], share[s, a]
+                for e in range(lo, hi):
+                    values[e] = outside * worth[mine, e]
+                i = stored.of_choice[row]
+                while i >= 0:
+                    s2 = stored.target[i]
+                    weight = (1.0 - outside) * stored.seen[i] / stored.visits[s, a]
+                    after, ahead = successor[mine, letter[s2]], V[s2]
+                    for e in range(lo, hi):
+                        values[e] += weight * ahead[after[e]]
+                    i = stored.next_of_choice[i]
+            moved = False
+            for e in range(lo, hi):
                 best = Q[s, 0, e]
-                for b in range(1, n_choices[s]):
-                    best = max(best, Q[s, b, e])
-                values[e] = best
+                for a in range(1, n_choices[s]):
+                    best = max(best, Q[s, a, e])
+                if best != V[s, e]:
+                    V[s, e], moved = best, True
+            if moved:
+                i = stored.of_target[s]
+                while i >= 0:
+                    choice_due[following, stored.row[i]] = state_due[following, stored.row[i] // C] = t - 1
+                    i = stored.next_of_target[i]
+
+
+@kernel
+def clocked_ahead(
+    Q: F64, V: F64, stored: Any, letter: I32, successor: I32, n_choices: I64, level: float, worth: F64, mark: I32,
+    order: I32, stamp: int, s0: int, e0: int,
+) -> int:  # fmt: skip
+    """Replay what is stored of every choice of what can follow the entry e0 of state s0: how many entries that were.
+
+    The share 1 − e^(level/n) of a choice taken n times is worth (n_letters, E), level the logarithm of that of hope.
+    mark (S, E) and order (S·E, 2): room for the entries that can follow, marked by `stamp`, in the order of steps
+    """
+    n_states, C = stored.visits.shape
+    n = stored.size[0]
+    begin, target, weight = np.zeros(n_states * C + 1, np.int64), np.empty(n, np.int64), np.empty(n)
+    share = np.ones((n_states, C))
+    nexts, first, place = np.empty(n, np.int64), np.zeros(n_states + 1, np.int64), np.full(n_states, -1)
+    k = which = 0
+    for s in range(n_states):
+        for a in range(C):
+            if stored.visits[s, a] > 0:
+                share[s, a] = 1.0 - np.exp(level / stored.visits[s, a])
+            i = stored.of_choice[s * C + a]
+            while i >= 0:
+                s2 = stored.target[i]
+                target[k], weight[k] = s2, (1.0 - share[s, a]) * stored.seen[i] / stored.visits[s, a]
+                k += 1
+                if place[s2] != s:
+                    place[s2], nexts[which] = s, s2
+                    which += 1
+                i = stored.next_of_choice[i]
+            begin[s * C + a + 1] = k
+        first[s + 1] = which
+    E = mark.shape[1]
+    order[0, 0], order[0, 1], mark[s0, e0] = s0, e0, stamp
+    done, found = 0, 1
+    while done < found:
+        before, e = np.int64(order[done, 0]), np.int64(order[done, 1])
+        done += 1
+        for i in range(first[before], first[before + 1]):
+            s2 = nexts[i]
+            e2 = successor[letter[before], letter[s2], e]
+            if e2 < E and mark[s2, e2] != stamp:
+                order[found, 0], order[found, 1], mark[s2, e2] = s2, e2, stamp
+                found += 1
+    for j in range(found - 1, -1, -1):
+        here, e = np.int64(order[j, 0]), np.int64(order[j, 1])
+        mine, best = letter[here], 0.0
+        for a in range(n_choices[here]):
+            row = here * C + a
+            value = share[here, a] * worth[mine, e]
+            for i in range(begin[row], begin[row + 1]):
+                value += weight[i] * V[target[i], successor[mine, letter[target[i]], e]]
+            Q[here, a, e] = value
+            best = max(best, value)
+        V[here, e] = best
+    return found
 
 
 def _published() -> None:
@@ -190,9 +312,13 @@ def _clocked() -> None:
     Q, V, visits = np.zeros((1, 1, 1)), np.zeros((1, 3)), np.ones((1, 1, 1), dtype=np.int64)
     letter, successor = np.zeros(1, dtype=np.int32), np.zeros((1, 1, 1), dtype=np.int32)
     clocked_update(Q, V, visits, 0, 0, 0, 1, 0.0, 0.1)
-    n, rows = np.ones(1, dtype=np.int64), np.zeros((1, 3), dtype=np.int32)
-    share, worth = np.zeros((1, 1)), np.zeros((1, 1))
-    clocked_transitions(Q, V, visits[0], letter, n, successor, n, 0.1, share, worth, rows)
+    clocked_best(Q, 0, 0, 1, 0.0)
+    stored, n, one = stored_of(1, 1, 1), np.ones(1, dtype=np.int64), np.ones((1, 1))
+    store(stored, 0, 0, 0, 1)
+    bounds, changed = np.array([[1, 0]]), np.zeros(1, dtype=np.bool_)
+    clocked_sweep(Q, V, stored, letter, bounds, successor, n, one, one, changed)
+    mark, order = np.zeros((1, 1), dtype=np.int32), np.zeros((1, 2), dtype=np.int32)
+    clocked_ahead(Q, V, stored, letter, successor, n, 0.0, one, mark, order, 1, 0, 0)
 
 
 WARM_UP = {"published": _published, "clocked": _clocked}

@@ -60,6 +60,41 @@ class Replay(NamedTuple):
     facts_place: NDArray[np.int64]
 
 
+class Stored(NamedTuple):
+    """All transitions seen, each distinct (s, a, s') once, in lists by choice and by successor; row = s · C + a.
+
+    visits (S, C)      of_choice (S·C,), of_target (S,): where its list begins, −1: nowhere
+    row, target, seen (n,)   of transition i; next_of_choice, next_of_target (n,) its followers in the lists
+    size (1,)          how many there are; there is room for more behind them
+    """
+
+    visits: NDArray[np.int64]
+    of_choice: NDArray[np.int64]
+    of_target: NDArray[np.int64]
+    row: NDArray[np.int64]
+    target: NDArray[np.int64]
+    seen: NDArray[np.int64]
+    next_of_choice: NDArray[np.int64]
+    next_of_target: NDArray[np.int64]
+    size: NDArray[np.int64]
+
+
+def stored_of(S: int, C: int, room: int) -> Stored:
+    """None yet, with room for so many."""
+    row, target, seen, next_of_choice, next_of_target = np.zeros((5, room), dtype=np.int64)
+    return Stored(
+        np.zeros((S, C), dtype=np.int64), np.full(S * C, -1), np.full(S, -1), row, target, seen, next_of_choice,
+        next_of_target, np.zeros(1, dtype=np.int64),
+    )  # fmt: skip
+
+
+def with_room(stored: Stored, n: int) -> Stored:
+    """The same with room for so many."""
+    more = (0, n - len(stored.row))
+    names = ("row", "target", "seen", "next_of_choice", "next_of_target")
+    return stored._replace(**{name: np.pad(getattr(stored, name), more) for name in names})
+
+
 class Walked(NamedTuple):
     """The transitions counted so far, and one belief about them; entries e of choice c are start[c] … start[c+1]−1.
 

@@ -160,10 +160,11 @@ def learn(
 ) -> Training:
     """Learn a policy without knowledge of the probabilities.
 
-    method        a learner, such as `Cfer(replays=50)` or one of your own (docs/learning.md); or a name: "model-based"
-                  (default), "cfer", "naive", "naive-er" (exact objective, γ = 1, Q carries the clock), with
-                  `faithful=True` "cfer" (default), "naive", "naive-er", "cfper" as published (docs/reproduction.md)
-    settings      with a name: fields of its class, such as `replays=50`
+    method        a learner, such as `Cfer(optimism=0.5)` or one of your own (docs/learning.md); or a name:
+                  "model-based" (default), "cfer", "naive", "naive-er" (exact objective, γ = 1, Q carries the clock),
+                  with `faithful=True` "cfer" (default), "naive", "naive-er", "cfper" as published
+                  (docs/reproduction.md)
+    settings      with a name: fields of its class, such as `optimism=0.5`
     episodes      training episodes
     evaluate_every   episodes between exact evaluations of the learned policy, the points of the learning curve
     most_steps    stop before the total of environment steps could exceed this

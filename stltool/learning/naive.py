@@ -14,7 +14,6 @@ from stltool.learning.episode import Episode
 from stltool.learning.judged import EVERY, BestSoFar
 from stltool.learning.kept import Kept
 from stltool.learning.learner import Learner
-from stltool.learning.optimism import Doubt
 from stltool.learning.problem import Problem
 from stltool.learning.published import Published
 from stltool.learning.schedule import Decaying
@@ -35,17 +34,17 @@ class Exact:
 
     kernels: ClassVar[tuple[Group, ...]] = ("clocked",)
 
-    least_step: float = setting(0.02, "smallest learning rate, α = max(least_step, 1/n)", above=0, most=1)
     caution: float = setting(0.1, "κ in the judged policy's weight n / (n + κ) for a choice seen n times", least=0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Clocked(Decaying, Exact):
-    """The same, exploring with a probability that decays."""
+    """The same, learned step by step, exploring with a probability that decays."""
+
+    least_step: float = setting(0.02, "smallest learning rate, α = max(least_step, 1/n)", above=0, most=1)
 
     def table(self, problem: Problem) -> ClockedTable:
-        entries = Entries(problem)
-        return ClockedTable(entries, np.zeros(entries.shape, dtype=np.int64), Doubt(self.caution), self.least_step)
+        return ClockedTable(Entries(problem), self.caution, self.least_step)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,8 +74,7 @@ class Naive(Clocked, Learner["NaiveRun"]):
         return state.best.better(state.table.policy_table())
 
     def arrays(self, state: NaiveRun) -> dict[str, Kept]:
-        visits = {"visits": Kept(state.table.visits, 0)}
-        return {**state.table.arrays(), **visits, **state.best.arrays(state.problem.n_choices)}
+        return {**state.table.arrays(), **state.best.arrays(state.problem.n_choices)}
 
     def check(self, state: NaiveRun) -> None:
         state.table.check()

@@ -63,7 +63,6 @@ class NaiveER(Batches, Clocked, Learner["ReplayRun"]):
         h, S, N = state.problem.shape
         return {
             **state.table.arrays(),
-            "visits": Kept(state.table.visits, 0),
             **state.best.arrays(state.problem.n_choices),
             **state.memory.arrays(np.array([h, S, N, state.problem.most_choices, S, N]) - 1),
         }

@@ -1,7 +1,5 @@
 """Optimism about a choice that was tried n times: the share of its value that is hoped to be the best there is.
 
-Plans, which are made anew for every episode:
-
     h(s, a) = 1 − ε^(1/n),   ε = 1 − u^(1/b),   u uniform in [0, 1), drawn once an episode
 
 h is the v with (1 − v)^n = ε: the greatest probability of success that n failures in a row do not refute at level ε, as
@@ -10,14 +8,7 @@ Beta(b, 1), as in posterior sampling [Strens00]: some episodes hope for next to 
 all. But the level is the same for all choices: what has been tried less promises more, and many small hopes
 close by do not outdo one that is far away. If each choice drew its own, the greatest of many always would.
 
-Tables, which cannot change that fast:
-
-    h(s, a) = max( b / (n + b),  1 − r^(−1/2n) ),   r = max(1, N / (C·n)),   N visits of the state, which has C choices
-
-The first term is one for beginners: what has been tried is soon trusted. In the second, the level falls while a choice
-is neglected and its state is visited again and again.
-
-By either, an untried choice is all hope, and every choice that can be reached is tried again, for ever: an unlucky
+An untried choice is all hope, and every choice that can be reached is tried again, for ever: an unlucky
 beginning does not last.
 
 Hope leads to a paradise that satisfies the task, worth a thousandth less than 1, and less the later it is entered:
@@ -29,7 +20,6 @@ to one. So where the data promise nothing, what has been tried least is preferre
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -50,49 +40,17 @@ def unrefuted(visits: NDArray[Any], level: Any) -> NDArray[np.float64]:
     return np.where(visits > 0, 1.0 - level ** (1.0 / np.maximum(visits, 1)), 1.0)
 
 
-def hope(visits: NDArray[Any], of_state: NDArray[Any], optimism: float) -> NDArray[np.float64]:
-    """h of choices tried `visits` times, for tables; `of_state`: the mean of the visits of their state's choices."""
-    n = np.maximum(visits, 1)
-    neglected: NDArray[np.float64] = 1.0 - np.maximum(of_state / n, 1.0) ** (-0.5 / n)
-    return np.maximum(optimism / (visits + optimism), neglected)
-
-
 def paradise(t: Any, horizon: int) -> Any:
     """What paradise is worth if it is entered after step t."""
     return 1.0 - _HAIR * (1 + t / horizon)
 
 
-def doubt(visits: NDArray[np.int64], caution: float) -> NDArray[np.float64]:
+def nothing(t: Any) -> Any:
+    """What failing is worth after step t."""
+    return np.full(np.shape(t), NEXT_TO_NOTHING)
+
+
+def doubt(visits: Any, caution: float) -> NDArray[np.float64]:
     """The share of choices tried `visits` times that counts as a failure; κ is `caution`."""
     share: NDArray[np.float64] = np.where(visits > 0, caution / np.maximum(visits + caution, _LEAST), 1.0)
     return share
-
-
-@dataclass(frozen=True)
-class Hope:
-    """What a value with hope is made of: a share of it, and what that share is worth."""
-
-    optimism: float
-
-    def share(self, visits: NDArray[Any], of_state: Any) -> NDArray[np.float64]:
-        """Of choices tried `visits` times; `of_state`: the mean of the visits of their state's choices."""
-        return hope(visits, of_state, self.optimism)
-
-    def worth(self, t: Any, horizon: int) -> Any:
-        """After step t."""
-        return paradise(t, horizon)
-
-
-@dataclass(frozen=True)
-class Doubt:
-    """The same with caution."""
-
-    caution: float
-
-    def share(self, visits: NDArray[Any], of_state: Any) -> NDArray[np.float64]:
-        """Of choices tried `visits` times."""
-        return doubt(visits, self.caution)
-
-    def worth(self, t: Any, horizon: int) -> Any:
-        """After step t."""
-        return np.full(np.shape(t), NEXT_TO_NOTHING)

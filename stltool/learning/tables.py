@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from stltool.display import counted
 from stltool.kernels.tuples import Surrogate
 from stltool.learning.counts import Counts
 from stltool.learning.kept import Kept
-from stltool.learning.optimism import Doubt, Hope
+from stltool.learning.optimism import doubt, nothing
 from stltool.learning.problem import Problem
 from stltool.sizes import require_memory, require_numbered
 
@@ -63,6 +64,7 @@ class Entries:
     many tables of values by entry there will be. SizeError if they would not fit into memory.
 
     numbers    (n_letters,): how many there are by letter; pairs: their t and q
+    bounds     (n_letters, h + 1): how many there are of step t and later: those of t are bounds[t+1] … bounds[t] − 1
     index      (n_letters, h, Q): the entry of (t, q), −1 if there is none
     successor  (n_letters, n_letters, E): by the letters of s and s', the entry that a transition leads to
     """
@@ -71,6 +73,9 @@ class Entries:
         automaton, n_letters = problem.automaton, problem.automaton.n_letters
         self.problem, self.pairs = problem, open_pairs(automaton)
         self.numbers = np.array([len(q) for _, q in self.pairs], dtype=np.int64)
+        self.bounds = np.zeros((n_letters, automaton.horizon + 1), dtype=np.int64)
+        for letter, (t, _) in enumerate(self.pairs):
+            self.bounds[letter] = np.searchsorted(-t, -np.arange(automaton.horizon + 1), side="right")
         self.E = E = int(self.numbers.max())
         require_numbered(E, "pairs of step and automaton state", _WAYS_OUT)
         require_memory(
@@ -110,31 +115,21 @@ class Entries:
         return open_
 
 
-class ClockedTable:
-    """Q_t(s, q, a) on the exact objective: γ = 1, value 1 or 0 where a run is decided, learned backwards in t.
+class ExactTable:
+    """Q_t(s, q, a) on the exact objective: γ = 1, value 1 or 0 where a run is decided.
 
-    A share of every choice's value is that of being outside (learning/optimism.py): with `Doubt`, the fixed point is
-    the value of the most cautious plan for the data; with `Hope`, an untried choice is worth a paradise, and so is
-    going where one is. Step sizes are max(least_step, 1/n).
+    A share of every choice's value is that of being outside (learning/optimism.py): of doubt, where that is next to
+    nothing; or of hope, where it is a paradise.
 
     Q (S, C, E), V (S, E + 2): by entries, V the best of Q, then 0 and 1, the values of verdicts
-    visits   (S, C, E) or, where a transition updates all entries, (S, C): how often each was updated by real steps
-    names    of Q and V in checkpoints
+    worth (n_letters, E): of being outside, by its value after each step t
     """
 
-    def __init__(
-        self,
-        entries: Entries,
-        visits: NDArray[np.int64],
-        outside: Doubt | Hope,
-        least_step: float,
-        names: tuple[str, str] = ("Q", "V"),
-    ) -> None:
-        self.entries, self.visits, self.outside, self.least_step = entries, visits, outside, least_step
-        self._names, problem = names, entries.problem
+    def __init__(self, entries: Entries, worth: Callable[[Any], Any]) -> None:
+        self.entries, problem = entries, entries.problem
         self.worth = np.zeros((problem.automaton.n_letters, entries.E))
         for letter, (t, _) in enumerate(entries.pairs):
-            self.worth[letter, : len(t)] = outside.worth(t, problem.automaton.horizon)
+            self.worth[letter, : len(t)] = worth(t)
         self.Q = self._untried()
         self.V = np.zeros((problem.n_states, entries.E + 2))
         self.V[:, :-2], self.V[:, -1] = self.Q.max(axis=1), 1.0
@@ -149,41 +144,12 @@ class ClockedTable:
         worth = self.worth[self.entries.problem.letter]
         return np.where(self._available()[:, :, None], worth[:, None, :], 0.0)
 
-    def _visits_by_entry(self) -> NDArray[np.int64]:
-        """The visits as (S, C, E), or (S, C, 1) where those of all entries are counted together."""
-        return self.visits if self.visits.ndim == 3 else self.visits[:, :, None]
-
     def best(self, t: int, s: int, q: int, chance: float) -> int:
         """The best choice in (t, s, q), ties broken by `chance` in [0, 1)."""
-        problem = self.entries.problem
-        here = self.Q[s, : problem.n_choices[s], self.entries.index[problem.letter[s], t, q]]
-        ties = np.flatnonzero(here == here.max())
-        return int(ties[int(chance * len(ties))])
-
-    def update(self, t: int, s: int, q: int, a: int, s2: int) -> None:
-        """The factual update of one entry."""
         from stltool.kernels import learning
 
-        entries, letter = self.entries, self.entries.problem.letter
-        entry = int(entries.index[letter[s], t, q])
-        self.visits[s, a, entry] += 1
-        n_choices = int(entries.problem.n_choices[s])
-        visits = self.visits[s, :n_choices, entry]
-        share = float(self.outside.share(visits[a], visits.mean()))
-        value = float(self.V[s2, entries.successor[letter[s], letter[s2], entry]])
-        value = (1 - share) * value + share * float(self.worth[letter[s], entry])
-        learning.clocked_update(self.Q, self.V, self.visits, s, a, entry, n_choices, value, self.least_step)
-
-    def update_all(self, rows: NDArray[np.int32]) -> None:
-        """Every entry that real transitions rows (n, 3) of (s, a, s') speak for, in their order."""
-        from stltool.kernels import learning
-
-        entries, problem = self.entries, self.entries.problem
-        mean = self.visits.sum(axis=1, keepdims=True) / problem.n_choices[:, None]
-        learning.clocked_transitions(
-            self.Q, self.V, self.visits, problem.letter, entries.numbers, entries.successor, problem.n_choices,
-            self.least_step, self.outside.share(self.visits, mean), self.worth, np.ascontiguousarray(rows),
-        )  # fmt: skip
+        letter, n_choices, _ = self.entries.problem.lists
+        return learning.clocked_best(self.Q, s, int(self.entries.index[letter[s], t, q]), n_choices[s], chance)
 
     def policy_table(self) -> NDArray[Any]:
         """The greedy policy, the first of ties: (h, S, Q) choices."""
@@ -194,30 +160,54 @@ class ClockedTable:
             table[t, s, q] = self.Q[s, : problem.n_choices[s], : len(t)].argmax(axis=0)
         return table
 
+
+class ClockedTable(ExactTable):
+    """Learned by the updates of single entries, with doubt, and step sizes max(least_step, 1/n).
+
+    visits   (S, C, E): how often each was updated
+    """
+
+    def __init__(self, entries: Entries, caution: float, least_step: float) -> None:
+        super().__init__(entries, nothing)
+        self.visits, self.caution, self.least_step = np.zeros(entries.shape, dtype=np.int64), caution, least_step
+
+    def update(self, t: int, s: int, q: int, a: int, s2: int) -> None:
+        """The factual update of one entry."""
+        from stltool.kernels import learning
+
+        entries, letter = self.entries, self.entries.problem.letter
+        entry = int(entries.index[letter[s], t, q])
+        self.visits[s, a, entry] += 1
+        share = float(doubt(self.visits[s, a, entry], self.caution))
+        value = float(self.V[s2, entries.successor[letter[s], letter[s2], entry]])
+        value = (1 - share) * value + share * float(self.worth[letter[s], entry])
+        n_choices = int(entries.problem.n_choices[s])
+        learning.clocked_update(self.Q, self.V, self.visits, s, a, entry, n_choices, value, self.least_step)
+
     def arrays(self) -> dict[str, Kept]:
-        """The values, for a checkpoint."""
-        return dict(zip(self._names, (Kept(self.Q, 0, 1), Kept(self.V, 0, 1)), strict=True))
+        """Everything, for a checkpoint."""
+        return {"Q": Kept(self.Q, 0, 1), "V": Kept(self.V, 0, 1), "visits": Kept(self.visits, 0)}
 
     def check(self) -> None:
         """ValueError if the arrays contradict each other."""
-        problem, (Q, V) = self.entries.problem, self._names
+        problem = self.entries.problem
         available = self._available()
         best = np.where(available[:, :, None], self.Q, 0).max(axis=1)
         if not np.array_equal(self.V, np.concatenate([best, np.tile([0.0, 1.0], (len(best), 1))], axis=1)):
-            raise ValueError(f"{V} is not the best of {Q}")
+            raise ValueError("V is not the best of Q")
         if self.Q[~available].any() or self.visits[~available].any():
-            raise ValueError(f"{Q} or visits have values for choices that do not exist")
+            raise ValueError("Q or visits have values for choices that do not exist")
         open_ = np.arange(self.entries.E) < self.entries.numbers[problem.letter][:, None]
-        tried = (self._visits_by_entry() > 0) & open_[:, None, :]
+        tried = (self.visits > 0) & open_[:, None, :]
         if (self._untried() != self.Q)[~tried].any():
-            raise ValueError(f"{Q} has learned about choices that were never tried")
-        if self.visits.ndim == 3 and self.visits[~tried].any():
+            raise ValueError("Q has learned about choices that were never tried")
+        if self.visits[~tried].any():
             raise ValueError("visits are of steps at which the task is decided")
 
     def require_visits(self, counts: Counts) -> None:
         """ValueError unless every counted transition was one visit, and there are no others."""
         problem = self.entries.problem
-        per_choice = self.visits.sum(axis=2, dtype=np.int64) if self.visits.ndim == 3 else self.visits
         s = np.repeat(np.arange(problem.n_states), problem.n_choices)
+        per_choice = self.visits.sum(axis=2, dtype=np.int64)
         if not np.array_equal(per_choice[s, np.arange(len(s)) - problem.first_choice[s]], counts.visits):
             raise ValueError("visits are not those that were counted")

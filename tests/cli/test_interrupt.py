@@ -144,7 +144,7 @@ def test_a_killed_process_resumes_to_the_same_bits(tmp_path):
     path, rng, killed = tmp_path / "cut.ckpt", np.random.default_rng(0), 0
     command = [
         sys.executable, "-m", "stltool", "learn", str(FACTORY / "patrolling.stl"), "-p", "T=6", "-p", "tau=6",
-        "--method", "cfer", "--set", "replays=300", "--episodes", "600", "--seed", "4",
+        "--method", "cfer", "--episodes", "6000", "--seed", "4",
         "--resume", "--checkpoint-every", "0.02", "--checkpoint", str(path), "--out", str(tmp_path / "cut.npz"),
     ]  # fmt: skip
     for _ in range(2):
@@ -161,7 +161,7 @@ def test_a_killed_process_resumes_to_the_same_bits(tmp_path):
     assert killed  # a slow machine may let one of them finish
     task = stl.load_task(FACTORY / "patrolling.stl", params={"T": 6, "tau": 6})
     product = stl.build_product(stl.load_model(task.model), task)
-    settings = {"episodes": 600, "replays": 300, "seed": 4}
+    settings = {"episodes": 6000, "seed": 4}
     resumed = stl.learn(product, "cfer", **settings, checkpoint=path, resume=True)
     whole = stl.learn(product, "cfer", **settings)
     assert resumed.history == whole.history

@@ -120,7 +120,7 @@ def sizes():
     for limit in (100, -1, "much"):
         yield f"check with memory_limit={limit!r}", refusal(stl.check, product, memory_limit=limit)
     yield "check exactly with memory_limit=100", refusal(stl.check, product, exact=True, memory_limit=100)
-    yield "learn with a large memory", refusal(stl.learn, product, "cfer", memory=10**14)
+    yield "learn with a large memory", refusal(stl.learn, product, "naive-er", memory=10**14)
     yield "an integer of another kind", refusal(stl.sample_run, product, seed=True)
 
 

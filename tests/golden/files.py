@@ -241,12 +241,12 @@ def checkpoints():
     for change, _ in rows(test_checkpoint.test_a_checkpoint_of_another_run_is_refused):
         given = {"method": "cfer", "resume": True, **settings, **change}
         if not isinstance(given["method"], str):
-            given = {name: value for name, value in given.items() if name not in ("memory", "replays")}
+            given = {name: value for name, value in given.items() if name != "optimism"}
         yield f"resumed with {text_of(change)}", refusal(stl.learn, product, checkpoint="run.ckpt", **given)
     other = patrolling(T=6, tau=5)
     yield "resumed with another task", refusal(stl.learn, other, "cfer", checkpoint="run.ckpt", resume=True, **settings)
     header, arrays = test_checkpoint.unpacked(Path("run.ckpt"))
-    q, seen, curve = (name for name in ("learner Q", "counts seen", "history probability"))
+    q, seen, curve = (name for name in ("learner U", "counts seen", "history probability"))
     changes = {
         "an array is missing": (header, {name: array for name, array in arrays.items() if name != q}),
         "an array is of another shape": (header, {**arrays, q: arrays[q][..., :-1]}),

@@ -77,7 +77,7 @@ def test_the_better_of_two_is_kept():
     assert best.better(a) is a
 
 
-@pytest.mark.parametrize("method", ["cfer", "naive", "naive-er"])
+@pytest.mark.parametrize("method", ["naive", "naive-er"])
 def test_a_run_ends_with_the_best_policy_by_its_data(patrolling, method, monkeypatch):
     """None of the policies compared on the way is better by the data at the end."""
     seen, runs = [], []

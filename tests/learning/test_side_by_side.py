@@ -14,7 +14,7 @@ from tests.checking.test_batched import OneByOne, SideBySide
 from tests.checking.test_black_box import hidden
 from tests.conftest import many
 
-LEARNERS = [stl.Cfer(replays=20), stl.Naive(), stl.NaiveER(), stl.ModelBased()]
+LEARNERS = [stl.Cfer(), stl.Naive(), stl.NaiveER(), stl.ModelBased()]
 
 
 @pytest.fixture(scope="module")
