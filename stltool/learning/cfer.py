@@ -53,7 +53,7 @@ class Cfer(Exact, Learner["CferRun"]):
 
     name: ClassVar[str] = "cfer"
 
-    optimism: float = setting(0.6, "b in the mean share of hope b / (1 + b) of a choice seen once", above=0)
+    optimism: float = setting(1.2, "b in the mean share of hope b / (1 + b) of a choice seen once", above=0)
 
     def start(self, problem: Problem, counts: Counts, rng: np.random.Generator) -> CferRun:
         entries = Entries(problem, tables=2)

@@ -3,7 +3,7 @@
     Q_t(s, q, a) = (1 − g) · mean of V_{t+1}(s', q') over the stored transitions (s, a, s') + g · worth_t
 
 with g the share of (s, a) that leads outside (learning/optimism.py). It is what replaying the stored transitions of a
-choice for ever, with learning rates 1/n, would come to [vanSeijen15]; one such step has no learning rate and no noise.
+choice for ever, with learning rates 1/n, would come to [Seijen15]; one such step has no learning rate and no noise.
 
 The order is that of the clock, from the last step of the task to the first: so what an episode has found reaches every
 value that depends on it at once, through a corridor of any length.

@@ -200,7 +200,7 @@ def test_learn_then_check_the_policy(stltool, tmp_path):
     assert data["gap"] == pytest.approx(data["optimum"] - data["probability"])
     task = stl.load_task(PATROLLING, params={"T": 5, "tau": 5})
     product = stl.build_product(stl.load_model(task.model), task)
-    run = stl.learn(product, "cfer", episodes=60, seed=2)
+    run = stl.learn(product, episodes=60, seed=2)
     assert stl.check(product, run.policy).probability == data["probability"]
     code, out, _ = stltool("check", PATROLLING, *SMALL, "--policy", policy)
     assert "the policy" in out

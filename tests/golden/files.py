@@ -246,7 +246,7 @@ def checkpoints():
     other = patrolling(T=6, tau=5)
     yield "resumed with another task", refusal(stl.learn, other, "cfer", checkpoint="run.ckpt", resume=True, **settings)
     header, arrays = test_checkpoint.unpacked(Path("run.ckpt"))
-    q, seen, curve = (name for name in ("learner U", "counts seen", "history probability"))
+    q, seen, curve = "history time", "counts seen", "history probability"
     changes = {
         "an array is missing": (header, {name: array for name, array in arrays.items() if name != q}),
         "an array is of another shape": (header, {**arrays, q: arrays[q][..., :-1]}),
