@@ -12,9 +12,10 @@ import stltool as stl
 from stltool.automata import FALSE, TRUE
 from stltool.checking import bounds
 from stltool.checking.fixed import fixed_point
-from stltool.checking.induction import EVERYTHING, Following, Game, layers_of
+from stltool.checking.induction import EVERYTHING, Following, Game, layers_of, solve
+from stltool.checking.induction.arithmetic import Digits
 from stltool.checking.rational import exact_probability
-from stltool.errors import ModelError, SettingsError, SizeError
+from stltool.errors import ArgumentError, ModelError, SettingsError, SizeError
 from tests import oracles, qcomp
 from tests.conftest import DATA, OUTSIDE, many, needs_outside
 
@@ -105,6 +106,16 @@ def test_decimals_mean_themselves():
         assert result.fraction == Fraction(1, 1000)
 
 
+def test_values_of_several_digits_are_put_together():
+    """In units of 10^-48, which takes four words of digits."""
+    model = stl.MDP.from_arrays([[["0.876543", "0.123457"], ["0", "1"]]], {"x": [0, 1]})
+    product = stl.build_product(model, stl.parse("F[0,8] x == 1"))
+    layers = layers_of(Game.of(product), TRUE, EVERYTHING)
+    arithmetic = Digits(layers.rows.denominator, True)
+    found = solve(layers, arithmetic, True)
+    assert Fraction(arithmetic.number(found.entry[0]), arithmetic.one) == 1 - Fraction("0.876543") ** 8
+
+
 def test_an_exact_answer_needs_exact_rows():
     third = 1 / 3
     model = stl.MDP.from_arrays([[[third, third, third], [0, 1, 0], [0, 0, 1]]], {"x": [0, 1, 2]})
@@ -177,6 +188,8 @@ def test_what_would_not_fit_is_refused_first(floor5):
 def test_unknown_settings_are_named(patrolling):
     with pytest.raises(SettingsError, match="arithmetic is 'float'; choose auto, double or fixed"):
         stl.check(patrolling, arithmetic="float")
+    with pytest.raises(ArgumentError, match="check's progress is 3, not a function"):
+        stl.check(patrolling, progress=3)
 
 
 # --------------------------------------------------------------------------------------------------------- QComp

@@ -89,17 +89,18 @@ def test_random_policies_that_obey_keep_the_promise(shield, seed):
     assert walk(shield, mixed) >= shield.at_least
 
 
-@pytest.mark.parametrize("rule", ["static", "ratio"])
-def test_at_the_maximum_only_optimal_actions_are_left(rule):
-    """Two actions, worth 1/2 and 1/4, exactly; and a second step at which both are worth the same."""
+@pytest.mark.parametrize(("rule", "levels"), [("static", 64), ("ratio", 64), ("ratio", 255)])
+def test_at_the_maximum_only_optimal_actions_are_left(rule, levels):
+    """Two actions, worth 1/2 and 1/4, exactly; and a second step at which both are worth the same. With 255 levels,
+    what an action costs that is never allowed does not fit into a byte."""
     first, second = [[0, 0.5, 0.5], [0, 1, 0], [0, 0, 1]], [[0, 0.25, 0.75], [0, 1, 0], [0, 0, 1]]
     model = stl.MDP.from_arrays([first, second], {"x": [0, 1, 2]}, labels={"A": [0, 1, 0]}, initial=0)
     product = stl.build_product(model, stl.parse("F[0,2] A"))
-    shield = stl.shield(product, 0.5, rule)
+    shield = stl.shield(product, 0.5, rule, levels=levels)
     q = product.enter(0, product.automaton.initial)
     assert shield.allows(0, 0, q).tolist() == [True, False]
     assert shield.least.lower == shield.least.upper == 0.5
-    wider = stl.shield(product, 0.25, rule)
+    wider = stl.shield(product, 0.25, rule, levels=levels)
     assert wider.allows(0, 0, q).tolist() == [True, True]
     with pytest.raises(PolicyError, match=r"is refused at step 0.*allowed"):
         shield.spend(0, 0, q, 1)

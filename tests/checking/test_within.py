@@ -80,7 +80,7 @@ def test_the_door(door):
     assert [c for c, _, _ in found.steps()] == [0, 2, 3, 5, 6]
     assert "P(task and effort <= c), the maximum, 8 budgets" in repr(found)
     assert found.at(2.5) == (0.5, 0.5)
-    assert found.at(-1) == (0, 0)
+    assert (found.at(-1), found.exactly(-1)) == ((0, 0), 0)
     one = stl.cost_distribution(door, lambda state, action: Fraction(action != "wait", 10), "0.25" and Fraction(1, 4))
     assert one.budgets == (0, Fraction(1, 10), Fraction(1, 5))
     assert one.at(0.25) == one.at(Fraction(1, 5))

@@ -6,7 +6,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 import stltool as stl
-from stltool.errors import FileError, SettingsError, StlSyntaxError
+from stltool.errors import ArgumentError, FileError, SettingsError, StlSyntaxError
 from stltool.logic.formula import (
     Always,
     And,
@@ -310,6 +310,8 @@ def test_a_task_file_has_model_params_definitions(tmp_path):
     assert task.model == tmp_path / "floor.toml"
     assert task.params == {"T": Fraction(10), "tau": Fraction(5)}
     assert task.formula == stl.parse("G[0,9] (F[0,4] A & F[0,4] (abs(x - 0.5) < 0.25 & y > 0.6))")
+    with pytest.raises(ArgumentError, match="load_task's task is 3"):
+        stl.load_task(path, task=3)
     other = stl.load_task(path, params={"T": 20}, task="charging")
     assert other.formula == stl.parse("F[0,19] G[0,9] A")
 

@@ -170,6 +170,12 @@ def guarded_formulas():
     )
 
 
+def test_a_held_sample_without_value_is_named():
+    """The window looks back to it from steps after the end."""
+    with pytest.raises(TraceError, match=r"^step 2: formula, line 1, column 18: this term has no value"):
+        stl.monitor(stl.parse("F[0,1] once[1,2] 1 / x > 2"), {"x": [1, 1, 0]}, "hold")
+
+
 @given(phi=guarded_formulas(), end=st.sampled_from(["error", "cut", "hold"]), data=st.data(), size=SIZES)
 def test_terms_without_value(phi, end, data, size):
     """A verdict is refused only where it hangs on such a term, robustness wherever it meets one."""
@@ -438,6 +444,13 @@ def test_since_is_until_on_the_reversed_trace(a, width, seed, end):
             found, wanted = stl.monitor(back, trace, end), stl.monitor(ahead, mirrored, "cut")
             assert np.array_equal(found.verdicts, wanted.verdicts[:, ::-1])
             assert np.array_equal(found.robustness, wanted.robustness[:, ::-1])
+
+
+def test_a_since_forgets_what_lies_before_its_window():
+    """Also where the window is nearly as long as the trace."""
+    result = stl.monitor(stl.parse("(x > -1) since[1,2] (x > 0)"), {"x": [1, 0, 0, 0]}, "cut")
+    assert result.verdicts.tolist() == [False, True, True, False]
+    assert result.robustness.tolist() == [-np.inf, 1, 1, 0]
 
 
 def test_long_windows_of_the_past_in_blocks():

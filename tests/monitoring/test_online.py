@@ -473,6 +473,10 @@ def test_the_structural_engine_is_three_valued_truth(phi, data):
     with pytest.MonkeyPatch.context() as patch:
         structural(patch)
         online = stl.OnlineMonitor(phi)
+    as_soon_as_kleene(online, phi, trace, n)
+
+
+def as_soon_as_kleene(online, phi, trace, n):
     assert online.early.engine == "structure"
     found = fed(online, trace)
     for t in range(n):
@@ -480,6 +484,29 @@ def test_the_structural_engine_is_three_valued_truth(phi, data):
         assert kleene(phi, trace, t, min(when, n)) is verdict
         if when > t + 1:
             assert kleene(phi, trace, t, when - 1) is None
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        f"{window} ({of})"
+        for window in ("F[1,3]", "G[1,3]", "F[70,75]", "G[70,75]")
+        for of in (
+            "p <-> 1 > 0",
+            "1 > 0 <-> p",
+            "p <-> 0 > 1",
+            "0 > 1 <-> p",
+            "p | false",
+            "p & true",
+            "F[0,1] p <-> p",
+        )
+    ],
+)
+def test_constants_are_known_before_their_samples(text, monkeypatch):
+    structural(monkeypatch)
+    phi = stl.parse(text)
+    for p in ([0] * 9, [1] * 9, [0, 0, 1, 0, 0, 0, 1, 1, 1]):
+        as_soon_as_kleene(stl.OnlineMonitor(phi), phi, {"p": list(map(bool, p))}, 9)
 
 
 @pytest.mark.soak
