@@ -12,6 +12,7 @@ import stltool as stl
 from stltool.automata import FALSE, TRUE
 from stltool.checking.fixed import fixed_point
 from stltool.checking.induction import EVERYTHING, Budget, Doubles, Fixed, Following, Game, induct, solve_on_cluster
+from stltool.checking.induction.recording import InMemory
 from stltool.cluster import _require_workers, connected, this_version
 from stltool.errors import PolicyError, SettingsError, SizeError
 from tests.checking.test_induction import random_policy, random_product
@@ -80,6 +81,33 @@ def test_steps_that_repeat_are_left_out_in_blocks_too():
     assert 0 < parts.swept < 2000
     assert np.array_equal(parts.entry, whole.entry)
     assert all(np.array_equal(parts.choices.row(t), whole.choices.row(t)) for t in (0, 1, 50_000, 99_998, 99_999))
+
+
+def test_steps_that_repeat_twice_are_left_out_in_blocks_too():
+    """What was asked for ahead of them is of no use then."""
+    product, _ = random_product(1, most_states=12, formula="F[5,5] (a | F[1,2] b)")
+    game, arithmetic = Game.of(product), Doubles(True)
+    whole = induct(game, arithmetic, engine="words", keep=np.uint8)
+    parts = solve_on_cluster(AtOnce(), game, arithmetic, TRUE, EVERYTHING, np.uint8, None, Budget("a test"), 3)
+    assert parts.swept == whole.swept == 7
+    assert np.array_equal(parts.entry, whole.entry)
+    assert all(np.array_equal(parts.choices.row(t), whole.choices.row(t)) for t in range(game.horizon))
+
+
+def test_what_fails_in_blocks_is_not_kept_as_if_it_were_whole():
+    closed = []
+
+    class Full(InMemory):
+        def add(self, listed):
+            raise OSError("no space left")
+
+        def close(self, whole):
+            closed.append(whole)
+
+    game = Game.of(random_product(1, most_states=12, formula="F[5,5] (a | F[1,2] b)")[0])
+    with pytest.raises(OSError, match="no space left"):
+        solve_on_cluster(AtOnce(), game, Doubles(True), TRUE, EVERYTHING, np.uint8, Full(), Budget("a test"), 3)
+    assert closed == [False]
 
 
 def local(**kind):

@@ -346,9 +346,15 @@ def test_sums_of_rows_are_added_one_after_another():
 @pytest.mark.parametrize("most", [0, 1, 7, 10, 35, 100, 10**6])
 @pytest.mark.parametrize("n", [0, 1, 2, 3, 8, 31])
 def test_layers_that_were_not_kept_are_made_again(n, most):
-    """Layers are their own numbers here, of five bytes each; stretches of one to three steps."""
-    found, first = Reached(lambda layer, t: layer + 1, most), 0
-    wanted = []
+    """Layers are their own numbers here, of five bytes each; stretches of one to three steps. What comes after a
+    layer is asked for at its last step."""
+    wanted: list[Stretch] = []
+
+    def after(layer, t):
+        assert t == wanted[layer].last
+        return layer + 1
+
+    found, first = Reached(after, most), 0
     for i in range(n):
         last = first + i % 3
         found.add(first, last, i, 5)
@@ -361,6 +367,19 @@ def test_layers_that_were_not_kept_are_made_again(n, most):
         part = [x for x in wanted if x.first < before]
         part[-1] = part[-1]._replace(last=min(part[-1].last, before - 1))
         assert list(found.back(before)) == part[::-1]
+
+
+def test_layers_are_taken_in_parts_of_few_edges(monkeypatch):
+    layers = layers_of(Game.of(wide_product(1)), TRUE, engine="words")
+    stretches, most = [Stretch(0, 0, layers.nothing()), *layers.backwards()], 1
+    monkeypatch.setattr("stltool.checking.induction.words._PART", 500)
+    for ahead, here in itertools.pairwise(stretches):
+        parts = layers.parts(here.layer)
+        n = [len(layers.edges(here.layer, ahead.layer, here.last, *part).child) for part in parts]
+        assert [0, *(last for _, last in parts)] == [*(first for first, _ in parts), len(here.layer.states)]
+        assert max(n, default=0) < 500 + 64 * 9 * 3  # what a state has, more or less
+        most = max(most, len(parts))
+    assert most > 4
 
 
 @pytest.mark.parametrize("engine", ENGINES)

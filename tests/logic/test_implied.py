@@ -61,6 +61,7 @@ def test_directions_of_every_operator(text, weaker):
     """What is larger by one makes it weaker (1), stronger (−1), or neither is proved."""
     one, other = (stl.parse(text.format(n)) for n in (3, 4))
     assert order(one, other) == Order(weaker == 1, weaker == -1)
+    assert order(other, one) == Order(weaker == -1, weaker == 1)
 
 
 def test_windows_of_the_future_are_all_tried():

@@ -128,6 +128,12 @@ def test_the_past_at_the_start_of_a_trace(text, a, holds):
     assert "".join(str(int(stl.satisfies(stl.parse(text), trace, t))) for t in range(4)) == holds
 
 
+@pytest.mark.parametrize(("a", "b", "holds"), [("000", "011", False), ("100", "110", True), ("010", "110", True)])
+def test_what_releases_does_so_after_its_step_and_for_good(a, b, holds):
+    trace = {name: [int(x) for x in row] for name, row in (("a", a), ("b", b))}
+    assert stl.satisfies(stl.parse("a release[0,2] b"), trace) is holds
+
+
 def test_a_window_that_began_before_the_trace_stays_empty_whatever_follows():
     phi = stl.parse("once[2,3] F[0,4] a")
     trace = {"a": np.ones(9)}

@@ -2,6 +2,8 @@
 
 import math
 from contextlib import contextmanager
+from decimal import Decimal, localcontext
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -191,6 +193,31 @@ def test_roots_of_what_is_below_zero_by_less_than_doubles_say():
     for z in (0.0, 1.0):
         with pytest.raises(stl.errors.TraceError, match="no value for the operands"):
             stl.monitor(stl.parse("sqrt(-(x*x)) <= z"), {"x": [0.0, 1e-200], "z": [z, z]})
+
+
+def test_quotients_of_wide_whole_numbers_are_the_nearest_doubles():
+    """Beyond 2^53 a division of doubles would round twice."""
+    rng, n = np.random.default_rng(0), 500
+    whole, places = rng.integers(-(2**62), 2**62, n) | 1, rng.integers(1, 19, n)
+    exact = borders._Exact({"x": np.zeros(n)})
+    found = exact.quotient(whole, places)
+    assert exact.settled.mean() > 0.99
+    for near, w, k in zip(found[exact.settled], whole[exact.settled], places[exact.settled], strict=True):
+        assert near == float(Fraction(int(w), 10 ** int(k)))
+
+
+def test_differences_of_roots_near_the_border_are_the_nearest_doubles():
+    """√A − B, where A = B² + D/10^K is decimal; its slow twin has a hundred digits."""
+    rng, n = np.random.default_rng(0), 300
+    b = rng.integers(10**3, 10**5, n)
+    d = (rng.uniform(-1, 1, n) * 2.0**-46 * (b / 100) ** 2 * 10**18).astype(np.int64)
+    exact = borders._Exact({"x": np.zeros(n)})
+    found = exact.over_sum(d, np.full(n, 18), (b.astype(np.uint64), np.full(n, 2)), b / 100)
+    assert exact.settled.mean() > 0.9
+    with localcontext(prec=100):
+        for near, side, apart in zip(found[exact.settled], b[exact.settled], d[exact.settled], strict=True):
+            side = Decimal(int(side)) / 100
+            assert near == float((side**2 + Decimal(int(apart)).scaleb(-18)).sqrt() - side)
 
 
 @pytest.mark.parametrize("text", TEXTS)

@@ -1024,6 +1024,24 @@ def test_what_looks_back_is_judged_as_the_offline_monitor_does(phi, data):
     assert block.n_steps == n
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "x > 0 U[1,3] y > 0", "(x > 0 U[1,3] y > 0) & once (x > 3)", "historically (x > -1 U[2,5] y > 0)",
+        "x > 0 since (y > 0 release[2,3] x > 1)", "once (abs(x) > 1) & max(x, y) > 0",
+        "min(x, -y) < 1 since abs(y) <= 1",
+    ],
+)  # fmt: skip
+def test_windows_and_choices_sample_by_sample(text):
+    phi, rng = stl.parse(text), np.random.default_rng(3)
+    for _ in range(4):
+        trace = {name: rng.integers(-2, 4, 24).astype(float) for name in "xy"}
+        online, found = stl.OnlineMonitor(phi, wait=True), []
+        for x, y in zip(trace["x"], trace["y"], strict=True):
+            found += online.feed({"x": x, "y": y})
+        assert str(found) == str(decisions(stl.monitor(phi, trace)))
+
+
 @given(phi=endless_past(max_leaves=4), data=st.data())
 def test_bounds_of_what_looks_back_hold_the_final_value(phi, data):
     h = stl.horizon(phi)

@@ -216,6 +216,8 @@ def test_batches(tmp_path):
     assert stl.load_trace(path, ["x"], step="0.05s", resample="linear")["x"][1].tolist() == [3, 3.5, 4, 4.5, 5]
     with pytest.raises(TraceError, match=r"array t: its shape is \(2,\), that of the signals is \(2, 3\); a time per"):
         stl.load_trace(npz(tmp_path / "w.npz", x=x, t=[0, 1]), ["x"], step="1s")
+    with pytest.raises(TraceError, match=r"array t: its shape is \(\), that of the signals is \(3,\); a time per step"):
+        stl.load_trace(npz(tmp_path / "s.npz", x=x[0], t=0.0), ["x"], step="1s")
     with pytest.raises(TraceError, match="array t, step 1: nan is not a time"):
         stl.load_trace(npz(tmp_path / "n.npz", x=x, t=[0, np.nan, 1]), ["x"], step="1s")
 

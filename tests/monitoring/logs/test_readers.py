@@ -58,6 +58,7 @@ def test_a_package_brings_its_reader(stltool, tmp_path, monkeypatch):  # noqa: F
         (stl.Recording({"x": []}), "signal x: the reader returned float64 of shape (0,)"),
         (stl.Recording({"x": [1], "y": [1, 2]}), "signal y: its shape is (2,), that of x is (1,); sig"),
         (stl.Recording({"x": [1, 2]}, times=[0]), "signal x: the reader returned another number of times"),
+        (stl.Recording({"x": [1, 2]}, times=np.float64(0)), "signal x: the reader returned another number of times"),
         (stl.Recording({"x": [1], "y": [1]}, times={"x": [0]}), "signal y: the reader returned no times for it"),
     ],
 )  # fmt: skip
@@ -67,6 +68,13 @@ def test_what_a_reader_returns_is_checked(tmp_path, monkeypatch, returned, says)
     with pytest.raises((FileError, TraceError)) as refused:
         stl.load_trace(tmp_path / "t.log")
     assert says in str(refused.value)
+
+
+def test_traces_recorded_together_may_share_their_times(tmp_path, monkeypatch):
+    batch = stl.Recording({"x": np.arange(6.0).reshape(2, 3)}, times=[0, 1, 2])
+    monkeypatch.setitem(stl.trace_readers, ".log", lambda path, names, time: batch)
+    (tmp_path / "t.log").touch()
+    assert stl.load_trace(tmp_path / "t.log", step="1s")["x"].tolist() == [[0, 1, 2], [3, 4, 5]]
 
 
 def test_what_can_be_given():
