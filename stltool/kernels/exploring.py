@@ -39,16 +39,33 @@ I64: TypeAlias = NDArray[np.int64]
 
 kernel = functools.partial(jit.kernel, counts=False)
 part = functools.partial(jit.part, counts=False)
+PATIENCE = 16  # a belief, and its plan, are held until a choice has been taken by so small a part more often
+NONE, DRAWN, HELD = range(3)  # route.belief[0]
+NO_BELIEF, NO_ROOM = -2, -1  # instead of a choice
 _LOST = -2  # the choice of a situation where nothing is hoped for
 
 
 @kernel
-def believe(walked: Any, normal: F64) -> None:
-    """Draw weights: of a successor seen n times, Gamma(n) as n (1 − 1/9n + z/(3√n))³ with z normal [Wilson31]."""
+def begins(route: Any, s: Any, q: Any) -> bool:
+    """Whether an episode that begins there needs a belief: none is held, or its plan begins elsewhere."""
+    belief = route.belief
+    belief[1] = 0
+    return bool(belief[0] != HELD or belief[2] != s or belief[3] != q)
+
+
+@kernel
+def believe(walked: Any, route: Any, normal: F64, level: float) -> None:
+    """Draw weights: of a successor seen n times, Gamma(n) as n (1 − 1/9n + z/(3√n))³ with z normal [Wilson31].
+
+    level: of hope, its logarithm
+    """
     for e in range(walked.start[-1]):
         n = float(walked.seen[e])
         root = 1.0 - 1.0 / (9.0 * n) + normal[e] / (3.0 * math.sqrt(n))
         walked.weight[e] = max(n * root * root * root, 1e-300)
+    for c in range(len(walked.visits)):
+        route.limit[c] = walked.visits[c] + walked.visits[c] // PATIENCE
+    route.level[0], route.belief[0], route.belief[1] = level, DRAWN, 1
 
 
 @kernel
@@ -58,6 +75,8 @@ def count(walked: Any, route: Any, c: Any, s2: Any, weight: float) -> bool:
         route.turned[c] = route.counter[0]
     walked.visits[c] += 1
     walked.known[s2] = True
+    if walked.visits[c] > route.limit[c]:
+        route.belief[0] = NONE
     e, end = walked.start[c], walked.start[c + 1]
     while e < end and walked.target[e] < s2:
         e += 1
@@ -72,6 +91,7 @@ def count(walked: Any, route: Any, c: Any, s2: Any, weight: float) -> bool:
             walked.weight[i - 1],
         )
     walked.target[e], walked.seen[e], walked.weight[e] = s2, 1, weight
+    route.belief[0] = NONE  # its plan does not know where this leads
     for i in range(c + 1, len(walked.start)):
         walked.start[i] += 1
     return True
@@ -280,11 +300,8 @@ def sweep(rules: Any, route: Any, chart: Any, room: Any, since: int) -> None:
 
 
 @kernel
-def plan(
-    rules: Any, walked: Any, route: Any, chart: Any, room: Any, level: float, since: int, s: Any, q: Any
-) -> bool:  # fmt: skip
-    """The best choices from there, by the belief at that level of hope (its logarithm); False if the chart has too
-    little room for children."""
+def plan(rules: Any, walked: Any, route: Any, chart: Any, room: Any, since: int, s: Any, q: Any) -> bool:
+    """The best choices from there, by the belief; False if the chart has too little room for children."""
     stamp, entries, known = chart.stamp, walked.start[-1], 0
     for one in walked.known:
         known += one
@@ -300,8 +317,10 @@ def plan(
             return False
         stamp[1], stamp[2], stamp[3], stamp[4] = known, since, s, q
     route.counter[0] += 1
-    rows(walked, chart, room, level)
+    rows(walked, chart, room, route.level[0])
     sweep(rules, route, chart, room, since)
+    if since == 0 and route.belief[0] == DRAWN:
+        route.belief[0], route.belief[2], route.belief[3] = HELD, s, q
     return True
 
 
@@ -346,13 +365,18 @@ def told(rules: Any, walked: Any, route: Any, t: int, s: Any, q: Any, chance: fl
 
 @kernel
 def choose(
-    rules: Any, walked: Any, route: Any, chart: Any, room: Any, level: float, t: int, s: Any, q: Any, chance: float
+    rules: Any, walked: Any, route: Any, chart: Any, room: Any, t: int, s: Any, q: Any, chance: float
 ) -> int:  # fmt: skip
-    """What to do while the task is open; −1 if the chart has too little room for children."""
+    """What to do while the task is open. NO_BELIEF: that of an earlier episode does not say, and a new one is to be
+    drawn; NO_ROOM: the chart has too little for children."""
     a = told(rules, walked, route, t, s, q, chance)
-    if a < 0 and plan(rules, walked, route, chart, room, level, t, s, q):
-        a = told(rules, walked, route, t, s, q, chance)
-    return int(a)
+    if a >= 0:
+        return int(a)
+    if route.belief[1] == 0:
+        return NO_BELIEF
+    if not plan(rules, walked, route, chart, room, t, s, q):
+        return NO_ROOM
+    return int(told(rules, walked, route, t, s, q, chance))
 
 
 @kernel
@@ -366,6 +390,15 @@ def aftermath(rules: Any, walked: Any, s: Any, stuck: bool, enough: int, chance:
         if walked.target[e] != s:
             return int(a)
     return -1
+
+
+@part
+def draw(walked: Any, route: Any, rng: Any, draws: Any, optimism: float) -> None:
+    """Draw a belief."""
+    for e in range(walked.start[-1]):
+        draws.normal[e] = rng.standard_normal()
+    chance = draws.chances[-1]
+    believe(walked, route, draws.normal, math.log(max(1.0 - chance ** (1.0 / optimism), 1e-300)))
 
 
 @kernel
@@ -386,27 +419,24 @@ def episodes(
     length, missing = len(draws.weights), 0
     while here[0] > 0:
         if t < 0:
-            entries = walked.start[-1]
-            if entries + length > len(walked.target):
+            if walked.start[-1] + length > len(walked.target):
                 missing = 1
                 break
             if t == -2:
                 s = np.int64(inversion(env.first, 0, len(env.first), world.random() * env.first[-1]))
                 q = np.int64(rules.delta[rules.letter[s], here[7]])
                 verdict = np.int64(rules.verdicts[0, q])
-            if verdict < 0:
-                starts[s] += 1
-            for e in range(entries):
-                draws.normal[e] = rng.standard_normal()
-            believe(walked, draws.normal)
             walked.known[s] = True
             for i in range(length + 1):
                 draws.chances[i] = rng.random()
             for i in range(length):
                 draws.weights[i] = rng.standard_exponential()
+            if verdict < 0:
+                starts[s] += 1
+                if begins(route, s, q):
+                    draw(walked, route, rng, draws, optimism)
             t, stuck = 0, False
-        level = math.log(max(1.0 - draws.chances[length] ** (1.0 / optimism), 1e-300))
-        if t == 0 and verdict < 0 and not plan(rules, walked, route, chart, room, level, 0, s, q):
+        if t == 0 and verdict < 0 and route.belief[0] == DRAWN and not plan(rules, walked, route, chart, room, 0, s, q):
             missing = 2
             break
         while t < length and verdict != 1:
@@ -415,7 +445,10 @@ def episodes(
                 if a < 0:
                     break
             else:
-                a = choose(rules, walked, route, chart, room, level, t, s, q, draws.chances[t])
+                a = choose(rules, walked, route, chart, room, t, s, q, draws.chances[t])
+                if a == NO_BELIEF:
+                    draw(walked, route, rng, draws, optimism)
+                    a = choose(rules, walked, route, chart, room, t, s, q, draws.chances[t])
                 if a < 0:
                     missing = 2
                     break
@@ -449,10 +482,11 @@ def warm_up() -> None:
     route = route_of(1, 1, 1, 1)
     chart, room = with_entries(with_children(chart_of(1, 1, places, 1)), room_of(1, 1, 1, 1, 1), 4)
     env = Tables(*one_state(), np.ones(1), np.ones(1))
-    believe(walked, one)
-    plan(rules, walked, route, chart, room, -1.0, 0, 0, 0)
+    begins(route, 0, 0)
+    believe(walked, route, one, -1.0)
+    plan(rules, walked, route, chart, room, 0, 0, 0)
     rng, draws, here = np.random.default_rng(0), draws_of(4, 1), np.array([1, -2, 0, 0, -1, 0, 0, 0])
     episodes(env, rules, walked, route, chart, room, rng, rng, 1.0, 1, draws, here, whole.copy(), whole, narrow, whole)
-    choose(rules, walked, route, chart, room, -1.0, 0, 0, 0, 0.5)
+    choose(rules, walked, route, chart, room, 0, 0, 0, 0.5)
     count(walked, route, 0, 0, 1.0)
     aftermath(rules, walked, 0, True, 1, 0.5)

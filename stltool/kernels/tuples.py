@@ -130,6 +130,9 @@ class Route(NamedTuple):
     group (h, S): number of the group, −1: none          first (groups+1,): its situations: memory q, choice
     turned (choices,): the number of the plan in whose time the choice was first tried, of the plan's, `counter`
     counter (2,): number of the plan, of marks
+    belief (4,): whether there is none (0), one that no plan is held of (1), or one whose plan is held (2); whether it
+    was drawn in this episode; the state and memory where the plan that is held begins
+    level (1,): of its hope, a logarithm    limit (choices,): how often they may be taken until it is given up
     """
 
     group: NDArray[np.int32]
@@ -138,6 +141,9 @@ class Route(NamedTuple):
     choice: NDArray[np.int32]
     turned: NDArray[np.int64]
     counter: NDArray[np.int64]
+    belief: NDArray[np.int64]
+    level: NDArray[np.float64]
+    limit: NDArray[np.int64]
 
 
 class Chart(NamedTuple):
@@ -222,6 +228,7 @@ def route_of(h: int, S: int, Q: int, choices: int) -> Route:
         group=np.full((h, S), -1, dtype=np.int32), first=np.zeros(h * S + 1, dtype=np.int64),
         memory=np.zeros(h * S * Q, dtype=np.int32), choice=np.zeros(h * S * Q, dtype=np.int32),
         turned=np.zeros(choices, dtype=np.int64), counter=np.zeros(2, dtype=np.int64),
+        belief=np.zeros(4, dtype=np.int64), level=np.zeros(1), limit=np.zeros(choices, dtype=np.int64),
     )  # fmt: skip
 
 

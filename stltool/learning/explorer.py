@@ -4,6 +4,7 @@ of them are one call of a kernel."""
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +30,27 @@ from stltool.learning.episode import Episode
 from stltool.learning.optimism import level, paradise
 from stltool.learning.problem import Problem
 
+UNPLANNED = -3  # next to the kernel's own marks
 _LEAST = 1e-300
+
+
+class Held(NamedTuple):
+    """A plan that is held for later episodes: what a checkpoint needs of an explorer, beside the counts.
+
+    choices  (h, S, Q) int32: of each situation of the plan, UNPLANNED elsewhere
+    limit    (choices,) int64: as long as none was taken more often, the plan is held
+    begins   (3,) int64: whether there is one, and the state and memory where it begins
+    """
+
+    choices: NDArray[np.int32]
+    limit: NDArray[np.int64]
+    begins: NDArray[np.int64]
+
+    @classmethod
+    def none(cls, shape: tuple[int, int, int], n_choices: int) -> Held:
+        return cls(
+            np.full(shape, UNPLANNED, dtype=np.int32), np.zeros(n_choices, dtype=np.int64), np.zeros(3, dtype=np.int64)
+        )
 
 
 class Explorer:
@@ -105,17 +126,22 @@ class Explorer:
 
         rng, n = episode.rng, episode.length
         self._make_room(n)
-        if episode.verdict is None:
-            starts[episode.s] += 1
-        exploring.believe(self.walked, rng.standard_normal(int(self.walked.start[-1])))
         self.walked.known[episode.s] = True
         chances, weights = rng.random(n + 1), rng.standard_exponential(n)
-        hope = math.log(max(level(optimism, float(chances[n])), _LEAST))
         rules, walked, route = self.rules, self.walked, self.route
+
+        def draw() -> None:
+            hope = level(optimism, float(chances[n]))
+            normal = rng.standard_normal(int(walked.start[-1]))
+            exploring.believe(walked, route, normal, math.log(max(hope, _LEAST)))
+
         first_choice, stuck = self._problem.lists[2], False
-        if episode.verdict is None and not episode.over:
-            while not exploring.plan(*self._all, hope, 0, episode.s, episode.q):
-                self.chart = with_children(self.chart)
+        if episode.verdict is None:
+            starts[episode.s] += 1
+            if exploring.begins(route, episode.s, episode.q):
+                draw()
+                while not exploring.plan(*self._all, 0, episode.s, episode.q):
+                    self.chart = with_children(self.chart)
         while not episode.over and episode.verdict is not True:
             t, s, chance = episode.t, episode.s, float(chances[episode.t])
             if episode.verdict is False:
@@ -123,11 +149,43 @@ class Explorer:
                 if a < 0:
                     break
             else:
-                while (a := exploring.choose(*self._all, hope, t, s, episode.q, chance)) < 0:
-                    self.chart = with_children(self.chart)
+                while (a := exploring.choose(*self._all, t, s, episode.q, chance)) < 0:
+                    if a == exploring.NO_BELIEF:
+                        draw()
+                    else:
+                        self.chart = with_children(self.chart)
             episode.step(a)
             exploring.count(walked, route, first_choice[s] + a, episode.s, float(weights[t]))
             stuck = episode.s == s
+
+    def held(self) -> Held:
+        """The plan for later episodes."""
+        from stltool.kernels.exploring import HELD
+
+        route, found = self.route, Held.none(self._problem.shape, len(self.route.limit))
+        if route.belief[0] != HELD:
+            return found
+        t, s = np.nonzero(route.group >= 0)
+        first, after = (route.first[route.group[t, s] + k] for k in (0, 1))
+        n = after - first
+        at = np.repeat(first - (np.cumsum(n) - n), n) + np.arange(n.sum())
+        found.choices[np.repeat(t, n), np.repeat(s, n), route.memory[at]] = route.choice[at]
+        found.limit[:], found.begins[:] = route.limit, (1, *route.belief[2:])
+        return found
+
+    def hold(self, held: Held) -> None:
+        """Go on with a plan, of an explorer that knew the same transitions."""
+        from stltool.kernels.exploring import HELD
+
+        route = self.route
+        t, s, q = np.nonzero(held.choices != UNPLANNED)
+        n = len(q)
+        begin = np.flatnonzero(np.diff(t * held.choices.shape[1] + s, prepend=-1))
+        route.group[t[begin], s[begin]] = np.arange(len(begin))
+        route.first[: len(begin)], route.first[len(begin)] = begin, n
+        route.memory[:n], route.choice[:n] = q, held.choices[t, s, q]
+        route.limit[:], route.belief[:] = held.limit, (HELD, 0, *held.begins[1:])
+        route.counter[0] = 1  # nothing was tried in its time, or it would not be held
 
     @property
     def _all(self) -> tuple[Rules, Walked, Route, Chart, Room]:

@@ -9,8 +9,10 @@ as there is something to learn from them (learning/aftermath.py).
 Plans are lazy: they are made for what the transitions seen lead to from the present situation. The episode's plan is
 kept as long as it applies. Where it relies on a choice that has been tried in the meantime, or says nothing, another
 untried choice of that state will do, which promises as much; only if there is none, the rest of the episode is planned
-again. On products that are not large, where a kernel plays episodes (learning/explorer.py), hope for a choice that
-has been tried is modest: it leads to the best state that the model has for what is left of the task, which is paradise
+again. On products that are not large, a kernel plays episodes (learning/explorer.py): there a model and its plan are
+held for the episodes that follow until some choice has been taken a sixteenth more often than when it was drawn, or a
+transition is new, as that is when the posterior has changed [Osband13]. And hope for a choice that has been tried is
+modest: it leads to the best state that the model has for what is left of the task, which is paradise
 only while there are untried choices or certain success. Otherwise, where even the best policy mostly fails, hope would
 be all that counts.
 
@@ -45,7 +47,7 @@ from stltool.kernels import Group
 from stltool.learning.aftermath import aftermath
 from stltool.learning.counts import Counts
 from stltool.learning.episode import Episode
-from stltool.learning.explorer import Explorer
+from stltool.learning.explorer import UNPLANNED, Explorer, Held
 from stltool.learning.kept import Kept
 from stltool.learning.learner import Learner, rarest
 from stltool.learning.optimism import NEXT_TO_NOTHING, doubt, level, paradise, unrefuted
@@ -102,10 +104,19 @@ class ModelBased(Learner["Planner"]):
         return state.judged(self.caution)
 
     def arrays(self, state: Planner) -> dict[str, Kept]:
-        return {"starts": Kept(state.starts, 0)}  # the rest is in the counts; every episode begins with a new plan
+        arrays = {"starts": Kept(state.starts, 0)}  # the rest is in the counts
+        if state.charted:
+            held, (_, S, Q) = state.keep(), state.problem.shape
+            arrays |= {
+                "plan": Kept(held.choices, UNPLANNED, np.asarray(state.problem.n_choices)[:, None] - 1),
+                "plan limit": Kept(held.limit, 0),
+                "plan begins": Kept(held.begins, 0, np.array([1, S - 1, Q - 1])),
+            }
+        return arrays
 
     def check(self, state: Planner) -> None:
         require_starts(state.starts, state.counts)
+        state.resume()
 
 
 @dataclass(frozen=True)
@@ -268,11 +279,25 @@ class Planner:
         self._batch: Batch | None = None
         self._judged: tuple[tuple[int, int, float], Choices] | None = None  # by what was counted, and caution
         self._explorer: Explorer | None = None
+        self._held: Held | None = None  # while a checkpoint is written or read
         self._limit = memory_limit(None)  # which takes longer to find out than some plans
 
     @property
     def small(self) -> bool:
         return self._anywhere is not None
+
+    def keep(self) -> Held:
+        """The plan that is held for later episodes; `resume` goes on with it, once the counts are the same again."""
+        if self._explorer is not None and self._explorer.total == self.counts.total:
+            self._held = self._explorer.held()
+        else:
+            self._held = Held.none(self.problem.shape, self.counts.n_choices)
+        return self._held
+
+    def resume(self) -> None:
+        if self._held is not None and self._held.begins[0]:
+            self.explorer.hold(self._held)
+        self._held = None
 
     @property
     def explorer(self) -> Explorer:

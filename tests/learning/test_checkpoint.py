@@ -66,6 +66,24 @@ def test_a_cut_run_resumes_to_the_same_bits(patrolling, tmp_path, method, faithf
     assert longer.history == stl.learn(patrolling, method, **{**settings, "episodes": 16}).history
 
 
+def test_a_plan_that_is_held_outlives_the_run(patrolling, tmp_path):
+    """After many episodes plans are held for later ones: cut anywhere, those act on the same plan."""
+    settings = {"seed": 3, "evaluate_every": 1000}
+    whole = stl.learn(patrolling, episodes=400, **settings)
+    plans, path = [], tmp_path / "run.ckpt"
+    for cut in range(301, 400, 9):
+        with pytest.raises(Cut):
+            stl.learn(
+                patrolling, episodes=400, checkpoint=path, resume=cut > 301, checkpoint_every=0, progress=cut_after(cut),
+                **settings,
+            )  # fmt: skip
+        plans.append(np.load(path)["learner plan begins"][0])
+    assert set(plans) == {0, 1}
+    resumed = stl.learn(patrolling, episodes=400, checkpoint=path, resume=True, **settings)
+    assert [rows.tolist() for rows in resumed.counts.in_context] == [rows.tolist() for rows in whole.counts.in_context]
+    assert resumed.history == whole.history
+
+
 @pytest.fixture
 def kept(patrolling, tmp_path):
     path = tmp_path / "run.ckpt"

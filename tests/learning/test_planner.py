@@ -205,7 +205,8 @@ def planned(explorer, level, since, s, q):
     """The plan from there, by (t, s, q), with every transition's frequency as it was counted."""
     explorer._make_room(1)
     explorer.walked.weight[:] = explorer.walked.seen
-    while not exploring.plan(*explorer._all, level, since, s, q):
+    explorer.route.level[0] = level
+    while not exploring.plan(*explorer._all, since, s, q):
         explorer.chart = with_children(explorer.chart)
     return route_found(explorer, since)
 
