@@ -1,8 +1,8 @@
-"""Figures of README and docs/ that no other program of bench/ measures: `python bench/pages.py NAME`.
+"""Figures of README and docs/ that no other program of bench/ measures: `python bench/pages.py NAME [EPISODES]`.
 
 scenarios   the table of docs/reproduction.md, from examples/paper/table.toml
 sweep       README and docs/sweeps.md: what a finished sweep in out/table took, and how its seeds differ
-guarantees  the table of docs/guarantees.md: bounds from learning data and from fresh runs, by episodes
+guarantees  the table of docs/guarantees.md: bounds from learning data and from fresh runs, by episodes (at most EPISODES)
 tied        the second one there: bounds if one parameter governs all rows
 alarm       the third one there: after how many steps a wrong tie is refused
 robust      docs/robust.md: a robust check beside an ordinary one
@@ -54,12 +54,12 @@ def timed(action: Callable[[], T]) -> tuple[T, float]:
     return action(), time.perf_counter() - start
 
 
-def guarantees() -> None:
+def guarantees(most: int = 100_000) -> None:
     print("| task | episodes | steps | support unknown | support known | fresh runs | exact P |")
     print("|---|---:|---:|---:|---:|---:|---:|")
     for task in ("patrolling", "reaching"):
         own = product(f"{task}.stl", T=5, tau=5)
-        for episodes in (100, 1000, 10_000, 100_000):
+        for episodes in (n for n in (100, 1000, 10_000, 100_000) if n <= most):
             run = stl.learn(own, "model-based", episodes=episodes, evaluate_every=episodes, seed=0)
             bounds = [
                 stl.guarantee(own, run.policy, run.counts, confidence=0.99).lower,
@@ -71,12 +71,12 @@ def guarantees() -> None:
             print("|", " | ".join([task, spaced(episodes), spaced(run.environment_steps), *cut]), "|", flush=True)
 
 
-def tied() -> None:
+def tied(most: int = 10_000) -> None:
     print("| T = τ | episodes | steps | support unknown | support known | tied | fresh runs | exact P |")
     print("|---|---:|---:|---:|---:|---:|---:|---:|")
-    for T, most in ((5, 10_000), (10, 1000)):
+    for T, affordable in ((5, 10_000), (10, 1000)):
         own = product("patrolling.stl", T=T, tau=T)
-        for episodes in filter(lambda n: n <= most, (100, 1000, 10_000)):
+        for episodes in (n for n in (100, 1000, 10_000) if n <= min(most, affordable)):
             run = stl.learn(own, "model-based", episodes=episodes, evaluate_every=episodes, seed=0)
             bounds = [
                 *(stl.guarantee(own, run.policy, run.counts, **how).lower for how in
@@ -222,4 +222,4 @@ if __name__ == "__main__":
     programs = {f.__name__: f for f in (alarm, guarantees, robust, scenarios, spread, sweep, tied, tradeoff, why)}
     if sys.argv[1] not in ("scenarios", "spread", "sweep"):
         kernels.warm_up("published", "clocked")
-    programs[sys.argv[1]]()
+    programs[sys.argv[1]](*map(int, sys.argv[2:]))

@@ -13,7 +13,8 @@ not a measurement; tests/test_claims.py fails on a figure that is neither.
 
 Claims of the classes `minutes` and `bench` are not run by the test suite. docs/claims.json keeps for each when, at
 which commit and on which machine it was last found to hold, and a digest of what the page said then: a page that has
-changed since fails the tests until the claim is checked again.
+changed since fails the tests until the claim is checked again. So does a program that has changed, where a claim has a
+canary: a short run of the same program, which the test suite runs, and whose output is kept as a digest too.
 """
 
 from __future__ import annotations
@@ -54,7 +55,7 @@ _SECONDS = re.compile(r"\b\d+(?:\.\d+)?(?:e-\d+)? (m?s)\b")
 _SOURCES = {"find", "json", "seconds"}
 _TOLERANCES = {"relative", "at_least", "at_most"}
 _CLAIM_KEYS = {
-    "name", "page", "text", "table", "block", "picture", "command", "class", "values", "columns", "relative",
+    "name", "page", "text", "table", "block", "picture", "command", "canary", "class", "values", "columns", "relative",
     "absolute", "needs", "fails",
 }  # fmt: skip
 
@@ -131,12 +132,16 @@ class Value:
 
 @dataclass(frozen=True)
 class Claim:
-    """One entry of docs/claims.toml; exactly one of `text`, `table`, `block` and `picture` says what is claimed."""
+    """One entry of docs/claims.toml; exactly one of `text`, `table`, `block` and `picture` says what is claimed.
+
+    `canary` is a quick command whose output is the same as long as that of `command` is.
+    """
 
     name: str
     page: str
     command: tuple[str, ...]
     kind: str
+    canary: str | None = None
     text: str | None = None
     table: str | None = None
     block: str | None = None
@@ -202,6 +207,8 @@ def _claim(entry: dict[str, Any]) -> Claim:
         raise ClaimError(f"{name}: give one of text, table, block and picture")
     if entry["class"] not in CLASSES:
         raise ClaimError(f"{name}: class is {entry['class']}; choose one of {', '.join(CLASSES)}")
+    if "canary" in entry and entry["class"] == "quick":
+        raise ClaimError(f"{name}: the test suite runs quick claims themselves; drop canary")
     values = {key: Value(**given) for key, given in entry.get("values", {}).items()}
     for key, given in entry.get("values", {}).items():
         if len(set(given) & _SOURCES) != 1 or len(set(given) & _TOLERANCES) > 1:
@@ -375,7 +382,12 @@ def digest(claim: Claim, page: str) -> str:
     """What the page says there, in short: spaces do not count."""
     match = find(claim, page)
     told = [match[name] for name in sorted(claim.values)] if claim.text is not None else [match[0]]
-    return hashlib.sha256(re.sub(r"\s+", " ", "\n".join(told)).encode()).hexdigest()[:16]
+    return _short_digest("\n".join(told))
+
+
+def _short_digest(text: str) -> str:
+    """Of a text, whatever its spaces."""
+    return hashlib.sha256(re.sub(r"\s+", " ", text).encode()).hexdigest()[:16]
 
 
 # -------------------------------------------------------------------------------------- what no claim speaks of
@@ -462,18 +474,28 @@ class Runs:
         if here is None:
             here = self._folders[claim.command[0]] = self._folder / str(len(self._folders))
             furnish(here)
-        done = []
-        for command in claim.command:
-            key = (here, command)
-            if key not in self._done:
-                start = time.perf_counter()
-                text = self._execute(command.replace("$OUTSIDE", shlex.quote(str(OUTSIDE))), here, claim.fails)
-                self._done[key] = (text, time.perf_counter() - start)
-            done.append(self._done[key])
+        done = [self._run(command, here, claim.fails) for command in claim.command]
         text = "".join(text for text, _ in done)
         if claim.picture:
             text = (here / Path(claim.page).name).read_text(encoding="utf-8")
         return Output(text, tuple(seconds for _, seconds in done))
+
+    def of_canary(self, claim: Claim) -> str | None:
+        """A digest of what the claim's canary prints; None if it has none."""
+        if claim.canary is None:
+            return None
+        here = self._folder / "canary"
+        if not here.exists():
+            furnish(here)
+        return _short_digest(self._run(claim.canary, here, False)[0])
+
+    def _run(self, command: str, here: Path, fails: bool) -> tuple[str, float]:
+        key = (here, command)
+        if key not in self._done:
+            start = time.perf_counter()
+            text = self._execute(command.replace("$OUTSIDE", shlex.quote(str(OUTSIDE))), here, fails)
+            self._done[key] = (text, time.perf_counter() - start)
+        return self._done[key]
 
 
 def furnish(folder: Path) -> None:
@@ -495,8 +517,8 @@ def recorded() -> dict[str, Any]:
     return json.loads(RECORD.read_text(encoding="utf-8")) if RECORD.exists() else {}
 
 
-def record(claim: Claim, page: str, seconds: float) -> None:
-    """Keep that the claim held just now."""
+def record(claim: Claim, page: str, seconds: float, canary: str | None) -> None:
+    """Keep that the claim held just now, and what its canary printed."""
     known = recorded()
     commit = subprocess.run(
         ["git", "describe", "--always", "--dirty=, changed"], cwd=ROOT, capture_output=True, text=True
@@ -507,6 +529,7 @@ def record(claim: Claim, page: str, seconds: float) -> None:
         "commit": commit,
         "machine": f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}",
         "seconds": round(seconds, 1),
+        **({"canary": canary} if canary is not None else {}),
     }
     RECORD.write_text(json.dumps(dict(sorted(known.items())), indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
 
@@ -535,11 +558,13 @@ def _told(claim: Claim, runs: Runs, update: bool, echo: Callable[[str], None]) -
         return True
     path, start = ROOT / claim.page, time.perf_counter()
     try:
-        found = check(claim, runs)
+        found, canary = check(claim, runs), None
+        seconds = time.perf_counter() - start
+        if claim.kind != "quick" and (update or not found):
+            canary = runs.of_canary(claim)
     except ClaimError as error:
         echo(f"FAILED   {claim.name}: {error}")
         return False
-    seconds = time.perf_counter() - start
     what = "STALE" if found and not update else "updated" if found else "holds"
     echo(f"{what:8} {claim.name}, in {claim.page}  ({seconds:.1f} s)")
     page = path.read_text(encoding="utf-8")
@@ -549,7 +574,7 @@ def _told(claim: Claim, runs: Runs, update: bool, echo: Callable[[str], None]) -
     if found and update:
         amend(path, found)
     if claim.kind != "quick" and what != "STALE":
-        record(claim, path.read_text(encoding="utf-8"), seconds)
+        record(claim, path.read_text(encoding="utf-8"), seconds, canary)
     return what != "STALE"
 
 

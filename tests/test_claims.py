@@ -49,6 +49,11 @@ def execute(command, folder, fails):
             code = ended.value.code or 0
         elif words[1] == "-c":
             exec(words[2], {"__name__": "__main__"})
+        elif words[1] == "-m":
+            patch.setattr(sys, "argv", words[2:])
+            with pytest.raises(SystemExit) as ended:
+                runpy.run_module(words[2], run_name="__main__", alter_sys=True)
+            code = ended.value.code or 0
         else:
             patch.setattr(sys, "argv", words[1:])
             patch.syspath_prepend(str(ROOT / os.path.dirname(words[1])))
@@ -89,6 +94,15 @@ def test_claims_that_are_not_run_here_were_checked_as_they_stand(claim):
     assert checked is not None, f"{claim.name} was never checked: {remedy}"
     assert checked["says"] == claims.digest(claim, page_of(claim)), f"{claim.page} has changed since: {remedy}"
     assert {"commit", "date", "machine"} <= set(checked)
+
+
+@pytest.mark.parametrize("claim", [c for c in BOOK.claims if c.canary is not None], ids=lambda claim: claim.name)
+def test_programs_of_claims_print_what_they_printed_when_the_claims_were_checked(claim, tmp_path):
+    if missing := claim.missing():
+        pytest.skip(f"{missing} is not here")
+    assert claims.Runs(tmp_path, execute).of_canary(claim) == claims.recorded()[claim.name]["canary"], (
+        f"the program has changed since: `make claims ONLY={claim.name} UPDATE=1`"
+    )
 
 
 def test_nothing_is_recorded_of_claims_that_are_gone():
@@ -300,6 +314,7 @@ It takes 2.5 s of 17 MB with Python 3.11, P1 and s₀, `x > 4`, [a link](page-7.
         ({"text": "1", "table": "|"}, "give one of"),
         ({}, "give one of"),
         ({"text": "1", "class": "slow"}, "class is slow"),
+        ({"text": "1", "class": "quick", "canary": "stltool --version"}, "drop canary"),
         ({"text": "1", "colour": "red"}, "unknown keys colour"),
         ({"text": "{a}", "values": {"a": {}}}, "one of find, json and seconds"),
         ({"text": "{a}", "values": {"a": {"find": "x", "relative": 1, "at_least": 1}}}, "one tolerance at most"),
