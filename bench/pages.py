@@ -2,7 +2,7 @@
 
 scenarios   the table of docs/reproduction.md, from examples/paper/table.toml
 sweep       README and docs/sweeps.md: what a finished sweep in out/table took, and how its seeds differ
-guarantees  the table of docs/guarantees.md: bounds from learning data and from fresh runs, by episodes (at most EPISODES)
+guarantees  the table of docs/guarantees.md: bounds from learning data and from fresh runs, up to EPISODES
 tied        the second one there: bounds if one parameter governs all rows
 alarm       the third one there: after how many steps a wrong tie is refused
 robust      docs/robust.md: a robust check beside an ordinary one

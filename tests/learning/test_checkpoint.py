@@ -74,9 +74,14 @@ def test_a_plan_that_is_held_outlives_the_run(patrolling, tmp_path):
     for cut in range(301, 400, 9):
         with pytest.raises(Cut):
             stl.learn(
-                patrolling, episodes=400, checkpoint=path, resume=cut > 301, checkpoint_every=0, progress=cut_after(cut),
+                patrolling,
+                episodes=400,
+                checkpoint=path,
+                resume=cut > 301,
+                checkpoint_every=0,
+                progress=cut_after(cut),
                 **settings,
-            )  # fmt: skip
+            )
         plans.append(np.load(path)["learner plan begins"][0])
     assert set(plans) == {0, 1}
     resumed = stl.learn(patrolling, episodes=400, checkpoint=path, resume=True, **settings)
