@@ -193,12 +193,12 @@ def swept(tmp_path_factory):
         settings = {{ episodes = 10 }}
         [[method]]
         name = "cfer"
-        settings = {{ memory = 80 }}
+        settings = {{ optimism = 0.8 }}
         [[scenario]]
         id = "R"
         task = "{FACTORY}/reaching.stl"
         params = {{ T = 2, tau = 3 }}
-        settings = {{ memory = 90 }}
+        settings = {{ optimism = 0.9 }}
         published = {{ cfer = 0.25 }}
     """)
     runs = [RunResult("R", "cfer", seed, [2, 4], [10, 20], [0.1, 0.2], "0" * 64, 1.0) for seed in range(3)]
