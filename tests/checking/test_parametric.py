@@ -52,7 +52,7 @@ def inside(coefficients, exact, rounding=1e-12):
     assert (above - below).max() < rounding
 
 
-@pytest.mark.parametrize("seed", range(many(15)))
+@pytest.mark.parametrize("seed", sorted({3, 7, *range(many(15))}))  # in 3 and 7, p matters to a mixture
 def test_coefficients_are_those_in_fractions_and_values_those_of_all_histories(seed):
     rng = np.random.default_rng(seed)
     product = random_product(rng)

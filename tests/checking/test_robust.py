@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 import stltool as stl
 from stltool.automata import TRUE, UNDECIDED
+from stltool.checking.robust import rows_defect
 from stltool.errors import ModelError, PolicyError, SettingsError, SizeError
 from stltool.logic.formula import Not
 from stltool.models import Intervals
@@ -203,6 +204,13 @@ def test_the_enclosure_is_narrow_over_a_thousand_steps():
         result = stl.robust_check(stl.build_product(model, stl.parse("G[0,1000] F[0,3] a")), nature=nature)
         assert 0 < result.upper - result.lower < 1e-9
         assert result.lower <= result.probability <= result.upper
+
+
+def test_what_the_ends_of_a_row_miss_by_rounding_is_found():
+    """0.3 + 0.7 is a little less than 1 in doubles, ten tenths are a little more; both are 1 where they are added."""
+    for ends in ([0.3, 0.7], [0.1] * 10):
+        model = stl.MDP.from_intervals([[ends] * len(ends)], [[ends] * len(ends)], {})
+        assert rows_defect(model.rows) == abs(sum(map(Fraction, ends)) - 1) > 0
 
 
 def test_rows_that_miss_one_widen_the_enclosure():

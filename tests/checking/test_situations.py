@@ -57,9 +57,9 @@ def test_the_first_values_add_up_to_the_probability(patrolling):
 
 @pytest.mark.parametrize("mixed", [False, True])
 def test_a_function_has_no_action_where_its_runs_do_not_come(mixed):
-    """It goes to A at once, where all is decided; the other choice stays where it is."""
-    transitions = np.array([[[0, 1], [0, 1]], [[1, 0], [0, 1]]], dtype=float)
-    model = stl.MDP.from_arrays(transitions, {}, labels={"A": np.array([False, True])})
+    """It goes to A at once, where all is decided; the other choice goes to another state, which leads there."""
+    transitions = np.array([[[0, 1, 0], [0, 1, 0], [0, 1, 0]], [[0, 0, 1], [0, 1, 0], [0, 0, 1]]], dtype=float)
+    model = stl.MDP.from_arrays(transitions, {}, labels={"A": np.array([False, True, False])})
     product = stl.build_product(model, stl.parse("F[0,3] A"))
     policy = stl.Policy.from_function(product, lambda here: [1.0, 0.0] if mixed else 0, mixed=mixed)
     nodes = reachable(product)

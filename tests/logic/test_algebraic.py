@@ -138,6 +138,9 @@ def test_a_double_half_way_goes_to_the_even_one():
     assert isinstance(half, Algebraic)
     assert float(half) == 1.0
     assert float(half + F(1, 2**53)) == math.nextafter(1, 2)
+    odd = half + F(1, 2**52)  # half-way between the next two, of which the larger is even
+    for near, below, above in ((half, 1.0, math.nextafter(1, 2)), (odd, math.nextafter(1, 2), 1 + 2.0**-51)):
+        assert (float(near - F(1, 2**2000)), float(near + F(1, 2**2000))) == (below, above)
     assert float(root(F(2)) * root(F(2)) - 2) == 0.0
     with pytest.raises(OverflowError):
         float(root(F(2)) * 10**400)

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import stltool as stl
-from stltool.errors import StlSyntaxError
+from stltool.errors import ArgumentError, StlSyntaxError
 from stltool.logic.format import WIDTH, format_task
 from stltool.logic.syntax import read
 from stltool.source import Source
@@ -166,6 +166,8 @@ def test_what_does_not_parse_is_not_laid_out():
         format_task("s := B\nr := A &")  # what could be read is not laid out alone
     with pytest.raises(StlSyntaxError, match="nested too deeply to be formatted"):
         format_task("r := " + "!" * 5000 + "A")
+    with pytest.raises(ArgumentError, match="format_task's text is 3, not text; write it in quotes"):
+        format_task(3)
 
 
 def lays_out(text):

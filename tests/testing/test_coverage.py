@@ -52,6 +52,8 @@ def test_windows_that_do_not_close_are_open():
     short = {"a": [True, False], "b": [False, False]}
     with pytest.raises(StlToolError, match="needs 5"):
         coverage.add(short)
+    with pytest.raises(StlToolError, match="add's every is 1"):
+        coverage.add(short, every=1)
     assert coverage.traces == 0
     assert of(coverage)["F[0,4] b"] == (0, 0, 0, 0)
     coverage.add(short, end="cut")
