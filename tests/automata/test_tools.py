@@ -191,6 +191,16 @@ def test_dot_is_graphviz_text():
         to_dot(stl.compile_automaton(stl.parse("G[0,99] (F[0,60] a & F[0,60] b)")))
 
 
+@pytest.mark.parametrize("text", ["{} | {}", "{} & {}"])
+def test_parts_are_those_of_the_formula_not_of_its_negation(text):
+    parts = {"F[0,9] a": "a", "F[0,5] G[0,3] b": "G[0,3] b", "G[0,5] F[0,2] c": "F[0,2] c", "d U[1,3] e": "e"}
+    for one, other in itertools.combinations(parts, 2):
+        found = stl.compile_automaton(stl.parse(text.format(f"({one})", f"({other})"))).parts
+        assert {part.formula: part.obligation for part in found} == {
+            stl.parse(part): stl.parse(parts[part]) for part in (one, other)
+        }
+
+
 def test_states_of_an_example_tell_what_they_remember():
     task = stl.load_task(ROOT / "examples/factory/charging.stl")
     automaton = stl.compile_automaton(task.formula)

@@ -263,6 +263,13 @@ CUT = """
 """
 
 
+def test_windows_with_a_step_between_them_are_not_joined():
+    for text in ("a | F[2,3] a", "a & G[2,3] a", "(F[0,1] a) | F[3,4] a", "a | once[2,3] a"):
+        assert simplify(stl.parse(text)) == stl.parse(text)
+    for text, simple in (("a | F[1,3] a", "F[0,3] a"), ("(G[0,1] a) & G[2,4] a", "G[0,4] a")):
+        assert simplify(stl.parse(text)) == stl.parse(simple)
+
+
 @pytest.mark.parametrize(("text", "simple", "when_cut"), rules(CUT))
 def test_what_becomes_of_windows_that_may_be_cut(text, simple, when_cut):
     assert simplify(formula(text)) == formula(simple)
