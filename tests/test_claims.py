@@ -51,6 +51,7 @@ def execute(command, folder, fails):
             exec(words[2], {"__name__": "__main__"})
         elif words[1] == "-m":
             patch.setattr(sys, "argv", words[2:])
+            patch.delitem(sys.modules, f"{words[2]}.__main__", raising=False)  # imported by other tests
             with pytest.raises(SystemExit) as ended:
                 runpy.run_module(words[2], run_name="__main__", alter_sys=True)
             code = ended.value.code or 0

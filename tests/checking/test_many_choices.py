@@ -10,7 +10,6 @@ from stltool.checking.certificate import require_certificate_of
 from stltool.errors import PolicyError
 from stltool.learning.counts import Counts
 from stltool.learning.model_based import ModelBased
-from stltool.learning.optimism import Doubt
 from stltool.learning.problem import Problem
 from stltool.learning.tables import ClockedTable, Entries
 from stltool.models.fractions import Shares
@@ -164,7 +163,7 @@ def test_learned_tables(wide):
     n, product, _ = wide
     problem, q = Problem.of(product), product.enter(0, product.automaton.initial)
     entries = Entries(problem)
-    table = ClockedTable(entries, np.zeros(entries.shape[:2], dtype=np.int64), Doubt(0.1), 0.1)
+    table = ClockedTable(entries, 0.1, 0.1)
     table.visits[0, -1], table.Q[0, -1] = 100, 0.9
     assert table.policy_table()[0, 0, q] == n - 1
     assert table.best(0, 0, q, 0.0) == n - 1
@@ -194,7 +193,7 @@ def test_learning_runs(wide, method):
 def test_updates_are_counted_beyond_int32(wide):
     _, product, _ = wide
     entries = Entries(Problem.of(product))
-    table = ClockedTable(entries, np.zeros(entries.shape, dtype=np.int64), Doubt(0.1), 0.1)
+    table = ClockedTable(entries, 0.1, 0.1)
     q = product.enter(0, product.automaton.initial)
     table.visits[0, 0] = 2**31 - 1
     table.update(0, 0, q, 0, 1)
