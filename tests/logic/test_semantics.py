@@ -134,6 +134,12 @@ def test_what_releases_does_so_after_its_step_and_for_good(a, b, holds):
     assert stl.satisfies(stl.parse("a release[0,2] b"), trace) is holds
 
 
+@pytest.mark.parametrize(("a", "b", "holds"), [("010", "011", True), ("100", "011", False), ("001", "000", False)])
+def test_what_triggers_does_so_after_its_step(a, b, holds):
+    trace = {name: [int(x) for x in row] for name, row in (("a", a), ("b", b))}
+    assert stl.satisfies(stl.parse("a trigger[0,2] b"), trace, 2) is holds
+
+
 def test_a_window_that_began_before_the_trace_stays_empty_whatever_follows():
     phi = stl.parse("once[2,3] F[0,4] a")
     trace = {"a": np.ones(9)}

@@ -446,6 +446,13 @@ def test_since_is_until_on_the_reversed_trace(a, width, seed, end):
             assert np.array_equal(found.robustness, wanted.robustness[:, ::-1])
 
 
+def test_the_last_sample_is_held_only_where_that_is_asked_for():
+    """Also below an operator of the past."""
+    phi, x = stl.parse("G[0,2] once[0,1] (x > 0)"), [1, 0]
+    assert stl.monitor(phi, {"x": x}, "cut").verdicts.tolist() == [True, True]
+    assert stl.monitor(phi, {"x": x}, "hold").verdicts.tolist() == [False, False]
+
+
 def test_a_since_forgets_what_lies_before_its_window():
     """Also where the window is nearly as long as the trace."""
     result = stl.monitor(stl.parse("(x > -1) since[1,2] (x > 0)"), {"x": [1, 0, 0, 0]}, "cut")

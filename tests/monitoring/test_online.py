@@ -476,6 +476,17 @@ def test_the_structural_engine_is_three_valued_truth(phi, data):
     as_soon_as_kleene(online, phi, trace, n)
 
 
+def test_verdicts_of_differences_come_as_soon_as_the_last_sample_says():
+    """It rises by less than 1 a step: over 5 two steps on if it is over 3 now, and then over 4."""
+    phi, rng = stl.parse("G[0,2] (x - x[t-1] < 1) & F[2,2] x > 5"), np.random.default_rng(0)
+    for _ in range(20):
+        x = rng.integers(0, 8, 14).tolist()
+        found = fed(stl.OnlineMonitor(phi), {"x": x})
+        for t in range(12):
+            false = [k for k in range(t, t + 3) if k == 0 or x[k] - x[k - 1] >= 1 or x[k] <= 3 + k - t]
+            assert found[t] == ((min(false) if false else t + 2) + 1, not false)
+
+
 def as_soon_as_kleene(online, phi, trace, n):
     assert online.early.engine == "structure"
     found = fed(online, trace)
