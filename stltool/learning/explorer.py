@@ -30,14 +30,14 @@ from stltool.learning.episode import Episode
 from stltool.learning.optimism import level, paradise
 from stltool.learning.problem import Problem
 
-UNPLANNED = -3  # next to the kernel's own marks
+FIRST = 3  # above the kernel's own marks, which are negative
 _LEAST = 1e-300
 
 
 class Held(NamedTuple):
     """A plan that is held for later episodes: what a checkpoint needs of an explorer, beside the counts.
 
-    choices  (h, S, Q) int32: of each situation of the plan, UNPLANNED elsewhere
+    choices  (h, S, Q) int32: of each situation of the plan, as FIRST + the choice; 0 elsewhere
     limit    (choices,) int64: as long as none was taken more often, the plan is held
     begins   (3,) int64: whether there is one, and the state and memory where it begins
     """
@@ -48,9 +48,14 @@ class Held(NamedTuple):
 
     @classmethod
     def none(cls, shape: tuple[int, int, int], n_choices: int) -> Held:
-        return cls(
-            np.full(shape, UNPLANNED, dtype=np.int32), np.zeros(n_choices, dtype=np.int64), np.zeros(3, dtype=np.int64)
-        )
+        return cls(np.zeros(shape, dtype=np.int32), np.zeros(n_choices, dtype=np.int64), np.zeros(3, dtype=np.int64))
+
+
+def patient(visits: NDArray[np.int64]) -> NDArray[np.int64]:
+    """How often choices may be taken until a plan made after so many visits is given up."""
+    from stltool.kernels.exploring import PATIENCE
+
+    return visits + visits // PATIENCE
 
 
 class Explorer:
@@ -169,7 +174,7 @@ class Explorer:
         first, after = (route.first[route.group[t, s] + k] for k in (0, 1))
         n = after - first
         at = np.repeat(first - (np.cumsum(n) - n), n) + np.arange(n.sum())
-        found.choices[np.repeat(t, n), np.repeat(s, n), route.memory[at]] = route.choice[at]
+        found.choices[np.repeat(t, n), np.repeat(s, n), route.memory[at]] = FIRST + route.choice[at]
         found.limit[:], found.begins[:] = route.limit, (1, *route.belief[2:])
         return found
 
@@ -178,12 +183,12 @@ class Explorer:
         from stltool.kernels.exploring import HELD
 
         route = self.route
-        t, s, q = np.nonzero(held.choices != UNPLANNED)
+        t, s, q = np.nonzero(held.choices)
         n = len(q)
         begin = np.flatnonzero(np.diff(t * held.choices.shape[1] + s, prepend=-1))
         route.group[t[begin], s[begin]] = np.arange(len(begin))
         route.first[: len(begin)], route.first[len(begin)] = begin, n
-        route.memory[:n], route.choice[:n] = q, held.choices[t, s, q]
+        route.memory[:n], route.choice[:n] = q, held.choices[t, s, q] - FIRST
         route.limit[:], route.belief[:] = held.limit, (HELD, 0, *held.begins[1:])
         route.counter[0] = 1  # nothing was tried in its time, or it would not be held
 

@@ -47,7 +47,7 @@ from stltool.kernels import Group
 from stltool.learning.aftermath import aftermath
 from stltool.learning.counts import Counts
 from stltool.learning.episode import Episode
-from stltool.learning.explorer import UNPLANNED, Explorer, Held
+from stltool.learning.explorer import FIRST, Explorer, Held, patient
 from stltool.learning.kept import Kept
 from stltool.learning.learner import Learner, rarest
 from stltool.learning.optimism import NEXT_TO_NOTHING, doubt, level, paradise, unrefuted
@@ -108,8 +108,8 @@ class ModelBased(Learner["Planner"]):
         if state.charted:
             held, (_, S, Q) = state.keep(), state.problem.shape
             arrays |= {
-                "plan": Kept(held.choices, UNPLANNED, np.asarray(state.problem.n_choices)[:, None] - 1),
-                "plan limit": Kept(held.limit, 0),
+                "plan": Kept(held.choices, 0, FIRST - 1 + np.asarray(state.problem.n_choices)[:, None]),
+                "plan limit": Kept(held.limit, 0, patient(state.counts.visits)),
                 "plan begins": Kept(held.begins, 0, np.array([1, S - 1, Q - 1])),
             }
         return arrays
@@ -295,9 +295,15 @@ class Planner:
         return self._held
 
     def resume(self) -> None:
-        if self._held is not None and self._held.begins[0]:
-            self.explorer.hold(self._held)
-        self._held = None
+        held, self._held = self._held, None
+        if held is None:
+            return
+        if not held.begins[0] and any(array.any() for array in held):
+            raise ValueError("a plan is stored, and none is held")
+        if held.begins[0]:
+            if (held.limit < self.counts.visits).any():
+                raise ValueError("the plan that is held was given up")
+            self.explorer.hold(held)
 
     @property
     def explorer(self) -> Explorer:
