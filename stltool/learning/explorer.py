@@ -92,7 +92,7 @@ class Explorer:
         self.room = room_of(h, S, Q, automaton.n_letters, int(self.chart.block[-1]))
 
     def episode(self, episode: Episode, optimism: float, starts: NDArray[np.int64]) -> None:
-        """Play one, or all that it stands for: for each, a belief is drawn, and acted on.
+        """Play one, or all that it stands for, each by the belief that is held, or else by a new one.
 
         starts (S,): how many episodes started there, undecided
         """

@@ -118,21 +118,24 @@ class Trainer:
     def _play(self, progress: Progress, most: int) -> list[Episode]:
         """The next episode, which may stand for at most so many, until one is evaluated; where the environment takes
         many runs at once, and the learner can, so many of them."""
-        runs, number, budget = self.environment.runs, progress.episode, self.budget
+        runs, number, every = self.environment.runs, progress.episode, self.budget.evaluate_every
         if runs is None or not self.learner.side_by_side:
-            every = 1 if self.certifier is not None else budget.evaluate_every
-            most = min(most, every - number % every, budget.episodes - number)
-            if budget.most_steps is not None:
-                most = max(1, min(most, (budget.most_steps - progress.steps) // max(self.length, 1)))
-            episode = self._begin(self.environment, number, together=most)
+            unevaluated = 1 if self.certifier is not None else every - number % every
+            together = self._affordable(progress, min(most, unevaluated))
+            episode = self._begin(self.environment, number, together=together)
             self.learner.episode(self.state, episode)
             return [episode]
-        n = min(runs.batch, MOST, budget.episodes - number)
-        if budget.most_steps is not None:
-            n = max(1, min(n, (budget.most_steps - progress.steps) // max(self.length, 1)))
+        n = self._affordable(progress, min(runs.batch, MOST))
         batch = range(number, number + n)
         begin = partial(self._begin, batch=batch if n > 1 else None)
         return play(runs, begin, partial(self.learner.episode, self.state), batch)
+
+    def _affordable(self, progress: Progress, most: int) -> int:
+        """How many of the next `most` episodes may be played, whatever number of steps each takes; at least one."""
+        n = min(most, self.budget.episodes - progress.episode)
+        if self.budget.most_steps is not None:
+            n = min(n, (self.budget.most_steps - progress.steps) // max(self.length, 1))
+        return max(1, n)
 
     def _begin(self, environment: Environment, number: int, batch: range | None = None, together: int = 1) -> Episode:
         return Episode(self.problem, environment, self.counts, self.rng, number, self.length, batch, together)
