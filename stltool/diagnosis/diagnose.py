@@ -154,7 +154,7 @@ def diagnose(
     at = t - first
     value = int(whole_sheet[formula][at])
     if value == 0:
-        monitor(formula, {name: array[0] for name, array in traces.arrays.items()}, end, "boolean")  # raises
+        monitor(given, signals, end, "boolean", t)  # raises
         raise TraceError(f"step {t}: the verdict depends on a term without a value")
     held = real < knowledge.block.steps
     cause = find_cause(knowledge, at, value > 0, real - 1 if held else None, progress)

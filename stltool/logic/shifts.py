@@ -127,7 +127,8 @@ def delayed(phi: Formula, once: bool = False) -> Delayed:
 
     def reads_back(node: Formula) -> bool:
         if isinstance(node, Once) and isinstance(node.arg, Comparison):
-            return once and node.interval.a == node.interval.b and node.interval.a > 0
+            own = node.interval.a == node.interval.b and node.interval.a > 0
+            return once and own and bool(variables(node.arg))
         return (isinstance(node, Comparison) and delay(node) > 0) or reads_ahead(node)
 
     if not any(reads_back(node) for node in distinct(phi)):

@@ -45,7 +45,8 @@ class Block:
     """`columns` maps names to arrays (rows, steps): finite float64 for variables, Booleans for labels.
 
     `wide`: some variable may be so large that a difference of two is beyond the range of doubles. The first `skip`
-    steps are there for windows of the past only, and so are those after `decided` more, if it is given.
+    steps are there for windows of the past only, and so are those after `decided` more, if it is given. `first` is the
+    step of the trace at which the block begins.
     """
 
     columns: Mapping[str, Array]
@@ -55,6 +56,7 @@ class Block:
     wide: bool = False
     skip: int = 0
     decided: int | None = None
+    first: int = 0
 
     @property
     def results(self) -> slice:
@@ -140,13 +142,13 @@ class Machine:
         if truth is not None:
             booleans = truth[1] if truth[0] is BOOLEANS else np.empty(truth[1].shape, dtype=np.bool_)
         unknown, far = predicate.judge(block.columns, booleans, margins, block.wide)
-        begins = self.program.begins.get(predicate.node)
-        if begins is not None and (far or unknown is not None):  # before, nobody looks at what these samples give
-            before = np.logical_not(block.columns[begins])
+        before = max(self.program.reach(predicate.names)[1] - block.first, 0)
+        if before and (far or unknown is not None):  # samples do not exist that early: nobody looks
             if margins is not None:
-                margins[before] = MARGINS.least
+                margins[:, :before] = MARGINS.least
             if unknown is not None:
-                unknown = unknown & ~before if (unknown & ~before).any() else None
+                unknown[:, :before] = False
+                unknown = unknown if unknown.any() else None
         self.gaps |= far or unknown is not None
         if truth is None or booleans is None:
             return

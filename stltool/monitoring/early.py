@@ -21,8 +21,9 @@ continuations of both verdicts (searched.py).
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
@@ -32,7 +33,7 @@ from stltool.automata.automaton import FALSE, UNDECIDED, TaskAutomaton
 from stltool.automata.compile import compile_running
 from stltool.errors import SizeError
 from stltool.logic.feasible import feasible_valuations, leaves, tabulated
-from stltool.logic.formula import LARGEST_BOUND, Formula, atoms, has_past, horizon
+from stltool.logic.formula import LARGEST_BOUND, Formula, atoms, has_past, horizon, variables
 from stltool.logic.occurrences import polarities
 from stltool.logic.occurring import occurring, sharing
 
@@ -88,10 +89,11 @@ class Engine:
     atoms: NDArray[np.bool_] | None = None
 
 
-def engine_of(phi: Formula, earlier: Collection[str] = ()) -> Engine:
+def engine_of(phi: Formula, earlier: Mapping[str, int] = MappingProxyType({})) -> Engine:
     """The engine of a formula with a horizon: its automaton if that is small enough, else its structure.
 
-    `earlier`: the signals that are earlier samples of others, so that perhaps not every sequence of letters can occur.
+    `earlier`: the signals that are earlier samples of others, so that perhaps not every sequence of letters can occur,
+    and how many steps before.
     """
     read = leaves(phi)
     valuations, complete = feasible_valuations(read, _MOST_VALUATIONS)
@@ -109,7 +111,7 @@ def engine_of(phi: Formula, earlier: Collection[str] = ()) -> Engine:
             letters = np.unique(truths, axis=0)
             most = min(MOST_STATES, _MOST_STEPS // len(letters)) if has_past(phi) else MOST_STATES
             automaton = compile_running(phi, letters, most, _MOST_COMPARED)
-            engine = _of_automaton(automaton, read, valuations, truths, sharp)
+            engine = _of_automaton(automaton, read, valuations, truths, sharp, earlier)
         except SizeError:
             engine = None
         if engine is not None:
@@ -121,7 +123,7 @@ def engine_of(phi: Formula, earlier: Collection[str] = ()) -> Engine:
     if complete and len(read) <= MOST_LEAVES and horizon(phi) <= LONGEST and not has_past(phi):
         letters, which = np.unique(truths, axis=0, return_inverse=True)
         if len(letters) <= MOST_LETTERS:
-            letter = _by_code(read, valuations, which.reshape(-1))
+            letter = _by_code(read, valuations, which.reshape(-1), earlier)
             return Engine(Early("search", sharp, why), read, letter, atoms=letters)
     return Engine(Early("structure", False, why))
 
@@ -132,6 +134,7 @@ def _of_automaton(
     valuations: NDArray[np.bool_],
     truths: NDArray[np.bool_],
     sharp: bool,
+    earlier: Mapping[str, int],
 ) -> Engine | None:
     """The engine of an automaton; None if its verdicts take too long to close."""
     runs = _closed(automaton)
@@ -143,7 +146,7 @@ def _of_automaton(
         if automaton.horizon > _LONGEST_EACH:
             return None
         closed = np.concatenate([np.tile(row, (last - first + 1, 1)) for first, last, row in reversed(runs)])
-    letter = _by_code(read, valuations, automaton.letters_at(truths))
+    letter = _by_code(read, valuations, automaton.letters_at(truths), earlier)
     states = f"its automaton has {automaton.n_states} states"
     why = states if sharp else f"{states}; its predicates depend on each other in ways that are not examined"
     first, outcome = table if table is not None else (None, None)
@@ -155,11 +158,32 @@ def _of_automaton(
     )  # fmt: skip
 
 
-def _by_code(read: tuple[Formula, ...], valuations: NDArray[np.bool_], letters: NDArray[np.integer[Any]]) -> Ints:
-    """The letters of valuations (n, n_leaves) by the code of their leaves."""
+def _by_code(
+    read: tuple[Formula, ...],
+    valuations: NDArray[np.bool_],
+    letters: NDArray[np.integer[Any]],
+    earlier: Mapping[str, int],
+) -> Ints:
+    """The letters of valuations (n, n_leaves) by the code of their leaves.
+
+    At the first steps, leaves that read earlier samples have no truth, and what stands in its place may not occur with
+    that of the others. Such a code has the letter of one that occurs, and is the same in all that have one by then.
+    """
     codes = valuations @ (1 << np.arange(len(read))) if len(read) else np.zeros(len(valuations), dtype=np.int64)
     found = np.zeros(1 << len(read), dtype=np.int64)
     found[codes] = letters
+    begins = np.array([max((earlier.get(name, 0) for name in variables(leaf)), default=0) for leaf in read])
+    if begins.any():
+        others = np.setdiff1d(np.arange(len(found)), codes)
+        rank = np.empty(len(read), dtype=np.int64)
+        rank[np.argsort(-begins, kind="stable")] = np.arange(len(read))  # what begins first is in the highest bits
+
+        def ranked(some: Ints) -> Ints:
+            number: Ints = ((some[:, None] >> np.arange(len(read)) & 1) << rank).sum(axis=1)
+            return number
+
+        nearest = (ranked(others)[:, None] ^ ranked(codes)).argmin(axis=1)
+        found[others] = letters[nearest]
     return found
 
 

@@ -8,6 +8,7 @@ are reached by real continuations; otherwise the interval may be wider than that
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -26,11 +27,11 @@ MOST_SHARED = 10**9  # shared operands are evaluated once
 class Enclosure:
     """A formula's robustness at the steps of traces of which only a beginning is known."""
 
-    def __init__(self, phi: Formula) -> None:
-        self._machine = _OfKnown(positive(negation_normal_form(phi, MOST_SHARED)))
+    def __init__(self, phi: Formula, earlier: Mapping[str, int]) -> None:
+        self._machine = _OfKnown(positive(negation_normal_form(phi, MOST_SHARED)), earlier)
 
-    def at(self, columns: Mapping[str, NDArray[np.float64]], step: int) -> tuple[float, float]:
-        """Lower and upper end at one of the steps of which the samples are given."""
+    def at(self, columns: Mapping[str, NDArray[np.float64]], step: int, first: int) -> tuple[float, float]:
+        """Lower and upper end at one of the steps of which the samples are given, the first being step `first`."""
         # one unknown sample stands for all later ones, as what is held is its interval; windows of the past need more
         program = self._machine.program
         more = min(program.settling, program.horizon or 0) + 1
@@ -40,7 +41,8 @@ class Enclosure:
         for name in self._machine.program.labels:
             truth = np.append(columns[name.removeprefix(NEGATED)] != 0.0, np.zeros(more, np.bool_)).reshape(1, -1)
             samples[name] = ~truth if name.startswith(NEGATED) else truth
-        block = Block(samples, 1, next(iter(samples.values())).shape[1] if samples else step + more, "hold", wide=True)
+        n = next(iter(samples.values())).shape[1] if samples else step + more
+        block = Block(samples, 1, n, "hold", wide=True, first=first)
         lower, upper = (self._machine.at(block, step, more, unknown) for unknown in (-np.inf, np.inf))
         return lower, upper
 
@@ -48,8 +50,8 @@ class Enclosure:
 class _OfKnown(Machine):
     """Margins, those of literals at the last steps being given."""
 
-    def __init__(self, phi: Formula) -> None:
-        super().__init__(compile_formula(phi), truth=False, margins=True)
+    def __init__(self, phi: Formula, earlier: Mapping[str, int]) -> None:
+        super().__init__(replace(compile_formula(phi), earlier=earlier), truth=False, margins=True)
         self._unknown, self._last = 0.0, 0
 
     def at(self, block: Block, step: int, last: int, unknown: float) -> float:

@@ -27,6 +27,7 @@ from stltool.errors import SettingsError, TraceError, named
 from stltool.logic import semantics as oracle
 from stltool.logic.formula import (
     Always,
+    Comparison,
     Eventually,
     Formula,
     Historically,
@@ -41,7 +42,6 @@ from stltool.logic.formula import (
     has_past,
     horizon,
     is_bounded,
-    is_temporal,
     label_names,
     lookback,
     variables,
@@ -143,9 +143,8 @@ def monitor(
     formula, traces, beyond = prepare(phi, read, end, "monitor")
     traces = replace(traces, first_step=start)
     truth, margins = semantics != "robustness", semantics != "boolean"
-    outs = [without_last(out, beyond) for out in judge(formula, traces, end, truth, margins, beyond)]
-    if at is not None:
-        outs = [out[:, at - start : at - start + 1] for out in outs]
+    asked = slice(traces.n_steps - beyond) if at is None else slice(at - start, at - start + 1)
+    outs = [out[:, asked] for out in judge(formula, traces, end, truth, margins, asked)]
     outs = outs if traces.batch else [out[0] for out in outs]
     return MonitorResult(
         formula_of(phi, "monitor's formula"),
@@ -206,10 +205,11 @@ def without_last(out: NDArray[Any], n: int) -> NDArray[Any]:
 
 
 def judge(
-    formula: Formula, traces: Traces, end: End, truth: bool, margins: bool, beyond: int = 0
+    formula: Formula, traces: Traces, end: End, truth: bool, margins: bool, asked: slice = slice(None)
 ) -> list[NDArray[Any]]:
-    """Verdicts, then margins, (n_traces, n_decided) each, as requested, the last `beyond` steps for nobody."""
+    """Verdicts, then margins, (n_traces, n_decided) each, as requested; only the steps `asked` for need one."""
     decided = decided_steps(traces, end)
+    begin, stop, _ = asked.indices(decided)
     outs: list[NDArray[Any]] = [np.empty((traces.n_traces, decided), np.bool_)] * truth
     outs += [np.empty((traces.n_traces, decided))] * margins
     quick, samples = None, _MARGINS if margins else _TRUTH
@@ -223,8 +223,9 @@ def judge(
             continue
         for out, found in zip(outs, machine.run(block), strict=True):
             if machine.gaps:
-                asked = found[:, : max(decided - beyond - first, 0)]
-                refuse_unknown(asked, formula, traces, rows.start, first, end)
+                before = max(begin - first, 0)
+                some = found[:, before : max(stop - first, 0)]
+                refuse_unknown(some, formula, traces, rows.start, first + before, end)
             out[rows, first : first + found.shape[1]] = found > 0 if found.dtype == np.int8 else found
     return outs
 
@@ -300,17 +301,20 @@ def _unknown(values: NDArray[Any]) -> NDArray[np.bool_]:
 
 def _blame(phi: Formula, traces: Traces, row: int, step: int, end: End, margins: bool) -> NoReturn:
     """Raise the error of a predicate because of which φ has no truth (or margin) at this step."""
-    if not is_temporal(phi):
+    program = traces.program
+    if isinstance(phi, Comparison):
         sample = {name: [float(array[row, step])] for name, array in traces.arrays.items()}
+        latest, _ = program.reach(variables(phi))
         try:
             (oracle.robustness if margins else oracle.satisfies)(phi, sample)
         except TraceError as error:
-            raise TraceError(f"{traces.place(row, step)}: {error}") from None
+            raise TraceError(f"{traces.place(row, step - latest)}: {error}") from None
     base = 0 if has_past(phi) else step
     rest = traces.row(row, base)
     for child, (a, b) in zip(children(phi), _looks(phi, rest.n_steps), strict=True):
         block = rest.block(slice(0, 1), slice(0, rest.n_steps), "hold" if end == "hold" else "cut")
-        unknown = _unknown(Machine(compile_formula(child), not margins, margins).run(block)[0])[0]
+        machine = Machine(replace(compile_formula(child), earlier=program.earlier), not margins, margins)
+        unknown = _unknown(machine.run(block)[0])[0]
         first, last = max(step - base + a, 0), step - base + b
         if end == "hold":
             first, last = (min(bound, rest.n_steps - 1) for bound in (first, last))

@@ -11,9 +11,9 @@ import copy
 import itertools
 import math
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Literal, cast
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +35,7 @@ from stltool.monitoring.early import Early, engine_of
 from stltool.monitoring.intervals import MOST_SHARED, Enclosure, positive
 from stltool.monitoring.lookback import FALSE, TRUE, Network, Value, judge_of
 from stltool.monitoring.offline import judge, judge_quickly
-from stltool.monitoring.program import Program, compile_delayed, compile_formula, formula_of_atom
+from stltool.monitoring.program import Atom, Program, compile_delayed, compile_formula, formula_of_atom
 from stltool.monitoring.samples import WHOLE, WIDE, Earlier, Traces, read_traces
 from stltool.monitoring.searched import Searched
 from stltool.monitoring.starts import OpenSteps
@@ -93,7 +93,7 @@ class OnlineMonitor(Displayed):
 
         self._compile(phi, wait)
         self.wait = self.wait or self.horizon == 0  # nothing to wait for
-        engine = engine_of(self._judged, self._earlier.made.signals)
+        engine = engine_of(self._judged, self._program.earlier)
         self.early, made = engine.early, self._earlier.made
         if made.signals and not (self.early.exact or self.wait or made.starts):
             self._tied = tied(engine, self.horizon, made.signals)
@@ -115,8 +115,14 @@ class OnlineMonitor(Displayed):
 
         self._call = Call(self._stream)
         atoms = enumerate(self._stream.atoms)
-        self._predicates = [(i, atom.at_one_sample()) for i, atom in atoms if isinstance(atom, Predicate)]
+        self._predicates = [
+            (i, atom.at_one_sample(), self._begins(atom)) for i, atom in atoms if isinstance(atom, Predicate)
+        ]
         self._shorten()
+
+    def _begins(self, atom: Atom) -> int:
+        """The step from which on all samples exist that an atom reads."""
+        return self._program.reach(atom.names)[1] if isinstance(atom, Predicate) else 0
 
     def _shorten(self) -> None:
         """Put a compiled `feed` (kernels/objects.py) in front of the method, if there is one and nothing needs Python.
@@ -182,7 +188,7 @@ class OnlineMonitor(Displayed):
             last = dict(zip(self._stream.names, kept[-1].tolist(), strict=True))
             held = [[{**last, **made}[name] for name in self._stream.names] for made in self._earlier.held()]
             kept = np.concatenate([kept, np.array(held, dtype=np.float64).reshape(-1, kept.shape[1])])
-        truth, margins = judge(self._judged, self._traces(kept, n - known), end, True, True, len(kept) - known)
+        truth, margins = judge(self._judged, self._traces(kept, n - known), end, True, True, slice(known))
         steps = range(first, n) if self.wait else self._undecided(first)
         at = known - n
         return [Decision(t, bool(truth[0, at + t]), float(margins[0, at + t])) for t in steps]
@@ -199,9 +205,9 @@ class OnlineMonitor(Displayed):
             _, margins = judge(self._judged, self._traces(kept, step - at), "error", True, True)
             return (float(margins[0, at]),) * 2
         if self._enclosure is None:
-            self._enclosure = Enclosure(self._judged)
+            self._enclosure = Enclosure(self._judged, self._program.earlier)
         columns = dict(zip(self._stream.names, kept.T, strict=True))
-        lower, upper = self._enclosure.at(columns, at)
+        lower, upper = self._enclosure.at(columns, at, n - len(kept))
         return _within(lower, upper, self._verdict(step))
 
     def _bounded_step(self, step: int) -> int:
@@ -245,8 +251,8 @@ class OnlineMonitor(Displayed):
             return self._feed_block(sample)
         read = self._read(sample)
         try:
-            for i, judge_one in self._predicates:
-                margin, truth = judge_one(read)
+            for i, judge_one, begins in self._predicates:
+                margin, truth = judge_one(read) if self.n_steps >= begins else FALSE
                 if i in stream.given:
                     stream.set_given(i, margin, truth)
         except TraceError as error:
@@ -513,6 +519,8 @@ class OnlineMonitor(Displayed):
             assert isinstance(predicate, Predicate)
             with np.errstate(all="ignore"):
                 predicate.judge(columns, truth, margin, True)
+            before = max(self._begins(predicate) - first_step, 0)
+            margin[0, :before], truth[0, :before] = FALSE
             for step in np.flatnonzero(np.isnan(margin[0]))[:1].tolist():
                 self._raise(predicate, samples, step, first_step)
             found[:, j, 0], found[:, j, 1] = margin[0], truth[0]
@@ -543,7 +551,7 @@ class _LookingBack(OnlineMonitor):
 
     def __init__(self, phi: Formula | Task, wait: bool = False) -> None:
         self._compile(phi, wait)
-        engine = engine_of(self._judged, self._earlier.made.signals)
+        engine = engine_of(self._judged, self._program.earlier)
         self._open = None if engine.delta is None or self.horizon == 0 else OpenSteps(engine)
         self.early, self._leaves = engine.early, engine.leaves
         if self._open is None:
@@ -558,9 +566,10 @@ class _LookingBack(OnlineMonitor):
         self._bind()
 
     def _bind(self) -> None:
+        programs = self._program, self._literals
         self._atoms, self._signs = (
-            [(i, judge_of(now.atom)) for i, now in enumerate(program.instructions) if now.atom is not None]
-            for program in (self._program, self._literals)
+            [(i, judge_of(atom), self._begins(atom)) for i, atom in atoms if atom is not None]
+            for atoms in (enumerate(now.atom for now in program.instructions) for program in programs)
         )
         numbers = {
             formula_of_atom(now.atom): i for i, now in enumerate(self._program.instructions) if now.atom is not None
@@ -588,11 +597,7 @@ class _LookingBack(OnlineMonitor):
             return self._feed_each(sample)
         bases = {name: self._real(name, self._given(name, sample)) for name in self._earlier.kept}
         values = self._read({**sample, **self._earlier.of(bases)})
-        try:
-            atoms = [(i, atom(values)) for i, atom in self._atoms]
-            signs = [(i, atom(values)) for i, atom in self._signs]
-        except TraceError as error:
-            raise TraceError(f"step {self.n_steps}: {error}") from None
+        atoms, signs = (_values(listed, values, self.n_steps) for listed in (self._atoms, self._signs))
         self._earlier.keep(bases)
         self._enclosing.advance(signs)
         found = self._network.advance(atoms)
@@ -620,20 +625,32 @@ class _LookingBack(OnlineMonitor):
         n = self.n_steps
         if min(self.horizon, n) == 0:
             return []
-        ends = n if end == "cut" else None
-        found = self._ahead(self._network, self.horizon, self._held(), ends)
+        if end == "hold":
+            found = self._ahead_held()
+        else:  # what comes later is not looked at
+            found = self._ahead(self._network, self.horizon, itertools.repeat([(i, FALSE) for i, *_ in self._atoms]), n)
         last = [Decision(n - len(found) + i, truth, margin) for i, (margin, truth) in enumerate(found)]
         return self._not_told(last)
 
     def _not_told(self, decisions: list[Decision]) -> list[Decision]:
         return [one for one in decisions if self.wait or self._verdicts[one.step - self._n_steps] is None]
 
-    def _held(self) -> Iterator[list[tuple[int, Value]]]:
+    def _ahead_held(self) -> list[Value]:
+        """What the network would say if the last sample were held; TraceError if that is a term without a value."""
+        try:
+            return self._ahead(self._network, self.horizon, self._held(self._atoms))
+        except TraceError:
+            ends = [self._ahead(self._enclosing, self.horizon, self._held(self._signs, end)) for end in (FALSE, TRUE)]
+            if ends[0] != ends[1]:
+                raise
+            return ends[0]
+
+    def _held(self, atoms: Sequence[_Judged], unknown: Value | None = None) -> Iterator[list[tuple[int, Value]]]:
         """The atoms of the samples that follow if the last one is held."""
         last = self._last
-        for made in itertools.chain(self._earlier.held(), itertools.repeat(None)):
+        for n, made in enumerate(itertools.chain(self._earlier.held(), itertools.repeat(None)), self._n_steps):
             last = {**last, **made} if made is not None else last
-            yield [(i, atom(last)) for i, atom in self._atoms]
+            yield _values(atoms, last, n, unknown)
 
     @staticmethod
     def _ahead(
@@ -652,7 +669,7 @@ class _LookingBack(OnlineMonitor):
         for unknown in (FALSE, TRUE):
             fixed = [
                 (i, value({}) if isinstance(self._literals.instructions[i].atom, Constant) else unknown)
-                for i, value in self._signs
+                for i, value, _ in self._signs
             ]
             ends.append(self._ahead(self._enclosing, step + self.horizon - n + 1, itertools.repeat(fixed))[-1][0])
         return _within(ends[0], ends[1], self._verdicts[step - n])
@@ -661,6 +678,26 @@ class _LookingBack(OnlineMonitor):
 def _compiled(phi: Formula) -> tuple[Delayed, Program]:
     """A formula as it is judged sample by sample: what looks back stays, but for comparisons of several steps."""
     return compile_delayed(phi, once=False)
+
+
+_Judged: TypeAlias = tuple[int, Callable[[Mapping[str, float]], Value], int]
+"""The number of an atom, its value at a sample, and the first step at which all samples exist that it reads."""
+
+
+def _values(
+    atoms: Sequence[_Judged], sample: Mapping[str, float], step: int, unknown: Value | None = None
+) -> list[tuple[int, Value]]:
+    """The values of atoms at a step; `unknown` for those without one, or TraceError."""
+    found = []
+    for i, judge_one, begins in atoms:
+        try:
+            value = judge_one(sample) if step >= begins else FALSE  # nobody looks at that
+        except TraceError as error:
+            if unknown is None:
+                raise TraceError(f"step {step}: {error}") from None
+            value = unknown
+        found.append((i, value))
+    return found
 
 
 def _within(lower: float, upper: float, verdict: bool | None) -> tuple[float, float]:

@@ -17,7 +17,7 @@ values that are not read later; their memory can be reused.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Generic, Literal, NamedTuple, TypeAlias, TypeVar, assert_never
@@ -42,7 +42,6 @@ from stltool.logic.formula import (
     Trigger,
     Until,
     delay,
-    distinct,
 )
 from stltool.logic.shifts import Delayed, delayed
 from stltool.monitoring.comparisons import Predicate
@@ -79,13 +78,13 @@ class Instruction(NamedTuple):
 class Program:
     """The instructions, the last one being the formula itself, and the names it reads with their first positions.
 
-    begins  comparisons of earlier samples: the label that holds from the step on at which all of these exist
+    earlier  signals that hold earlier samples of others: how many steps before
     """
 
     instructions: tuple[Instruction, ...]
     variables: Mapping[str, Span | None]
     labels: Mapping[str, Span | None]
-    begins: Mapping[Comparison, str] = field(default_factory=dict)
+    earlier: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def horizon(self) -> int | None:
@@ -98,6 +97,11 @@ class Program:
     @property
     def has_past(self) -> bool:
         return any(now.op in PAST for now in self.instructions)
+
+    def reach(self, names: Iterable[str]) -> tuple[int, int]:
+        """How many steps before the latest, and the earliest, of the samples are that these signals hold."""
+        steps = [self.earlier.get(name, 0) for name in names]
+        return min(steps, default=0), max(steps, default=0)
 
     @property
     def settling(self) -> int:
@@ -137,12 +141,8 @@ class Same(Generic[_T]):
 @lru_cache(maxsize=8)
 def _compile_delayed(key: Same[Formula], once: bool) -> tuple[Delayed, Program]:
     made = delayed(key.thing, once=once)
-    begins: dict[Comparison, str] = {}
-    for node in distinct(made.formula) if made.starts else ():
-        match node:
-            case And((Label(name), Comparison() as comparison)) if name in made.starts:
-                begins[comparison] = name
-    return made, replace(compile_formula(made.formula), begins=begins)
+    earlier = {name: steps for name, (_, steps) in made.signals.items()}
+    return made, replace(compile_formula(made.formula), earlier=earlier)
 
 
 @lru_cache(maxsize=8)

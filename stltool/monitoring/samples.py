@@ -49,7 +49,8 @@ class Traces:
     def row(self, row: int, first: int) -> Traces:
         """One trace from a step on."""
         arrays = {name: array[row : row + 1, first:] for name, array in self.arrays.items()}
-        return replace(self, arrays=arrays, n_traces=1, n_steps=self.n_steps - first)
+        n_steps, first_step = self.n_steps - first, self.first_step + first
+        return replace(self, arrays=arrays, n_traces=1, n_steps=n_steps, first_step=first_step)
 
     def held(self, steps: int) -> Traces:
         """With the last sample held for this many more steps."""
@@ -132,7 +133,8 @@ class Traces:
                 if not self.small and not within(column, WIDE):
                     self._refuse(name, ~np.isfinite(column), rows, steps, "monitors judge finite samples")
                     wide = True
-        return Block(columns, rows.stop - rows.start, steps.stop - steps.start, end, wide)
+        n_rows, n_steps = rows.stop - rows.start, steps.stop - steps.start
+        return Block(columns, n_rows, n_steps, end, wide, first=self.first_step + steps.start)
 
     def _label(self, name: str, given: NDArray[Any], rows: slice, steps: slice) -> NDArray[Any]:
         if given.dtype.kind == "b":
@@ -228,7 +230,8 @@ class Earlier:
         found: dict[str, float] = {name: self.n_steps >= first for name, first in self.made.starts.items()}
         for name, (base, steps) in self.made.signals.items():
             kept = self.kept[base]
-            found[name] = kept[-steps] if len(kept) >= steps else bases[base]  # where there is none, nobody looks
+            # where there is none, nobody looks; next to 0 a margin is finite
+            found[name] = kept[-steps] if len(kept) >= steps else 0.0
         return found
 
     def keep(self, bases: Mapping[str, float]) -> None:

@@ -158,7 +158,7 @@ class _Soft:
 def _run(program: Program, block: Block, beta: float) -> tuple[Floats, Floats, Floats]:
     """Soft robustness at the block's decided steps, and lower and upper bounds on the exact one."""
     instructions = program.instructions
-    soft = _Machine(block, beta, by_step=block.end == "cut" or program.has_past)
+    soft = _Machine(program, block, beta, by_step=block.end == "cut" or program.has_past)
     values: dict[int, _Soft] = {}
     for number, now in enumerate(instructions):
         values[number] = soft.operator(now, [values[arg] for arg in now.args])
@@ -174,6 +174,7 @@ def _run(program: Program, block: Block, beta: float) -> tuple[Floats, Floats, F
 
 @dataclass(frozen=True, slots=True)
 class _Machine:
+    program: Program
     block: Block
     beta: float
     by_step: bool  # bounds differ from step to step, since windows may be cut
@@ -257,6 +258,8 @@ class _Machine:
                 values[...] = np.where(self.block.columns[name], np.inf, -np.inf)
             case Predicate():
                 atom.judge(self.block.columns, None, values, self.block.wide)
+                before = max(self.program.reach(atom.names)[1] - self.block.first, 0)  # nobody looks there
+                values[:, :before] = -np.inf
                 error = np.broadcast_to(atom.error(self.block.columns), values.shape).max(axis=1, keepdims=True)
             case _:
                 assert_never(atom)

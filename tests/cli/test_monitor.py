@@ -221,6 +221,7 @@ def test_bad_input_ends_with_code_2(stltool, log, batch, tmp_path, monkeypatch):
         (["X > 0", log], "there is no column X; did you mean x?"),
         (["when > 0", log], "line 2, column when: 'Mon' is not a number"),
         (["x & door", log], "compare it, as in x > 0"),
+        (["once[1,1] 1 / (x + 1) > 9", log], "step 1: formula, line 1, column 11: this term has no value"),
         (["x > 0", "none.csv"], "none.csv: there is no such trace file"),
         (["x > 0", "task.stl"], "task.stl: not a trace file; traces are read from .csv, .tsv, .npz, .parquet"),
         (["x > 0", log, "--end", "wrap"], "--end wrap: choose error, cut, hold"),

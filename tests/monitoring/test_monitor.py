@@ -229,8 +229,54 @@ def test_samples_before_the_trace_need_no_value(text):
             found = stl.monitor(phi, trace)
             assert found.robustness.tolist() == wanted
             assert found.verdicts.tolist() == [margin > 0 for margin in wanted]
-    with pytest.raises(TraceError, match=r"^step 2: .* for the operands -2"):
+    with pytest.raises(TraceError, match=r"^step 0: .* for the operands -2"):
         stl.monitor(stl.parse("once[2,2] (sqrt(y) <= 1)"), {"y": [-2.0, 0.0, 0.0]})
+
+
+NO_VALUE = [  # a formula, samples of x, and the only step at which a comparison has no value
+    ("once[1,1] 1 / x > 2", [1, 0, 1, 1], 1),
+    ("once[2,2] 1 / x > 2 | x > 9", [1, 0, 1, 1], 1),
+    ("1 / x[t-2] > 2", [1, 0, 1, 1], 1),
+    ("x[t-2] / x[t-1] > 2", [1, 0, 1, 1], 1),
+    ("x[t-2] / x > 2", [1, 0, 0, 1], 2),
+    ("F[0,2] 1 / (x - x[t-1]) > 9", [1, 2, 2, 3, 4], 2),
+    ("F[1,1] 1 / (x - x[t-1]) > 9", [1, 2, 2, 3, 4], 2),
+    ("F[0,1] once[1,1] (1 / x > 2)", [1, 0, 1, 1], 1),
+    ("once (1 / x[t-1] > 2)", [1, 0, 1, 1], 1),
+    ("once[0,1] F[0,1] 1 / (x - x[t-1]) > 9", [1, 2, 2, 3, 4], 2),
+]
+
+
+@pytest.mark.parametrize(("text", "x", "step"), NO_VALUE)
+def test_what_has_no_value_is_named_by_the_step_of_its_latest_sample(text, x, step):
+    phi, trace = stl.parse(text), {"x": [float(value) for value in x]}
+    batch = {"x": [[float(k * k) + 1 for k in range(len(x))], trace["x"]]}
+
+    def blocks(wait):
+        return [stl.OnlineMonitor(phi, wait).feed(trace)]
+
+    def samples(wait):
+        online = stl.OnlineMonitor(phi, wait)
+        return [online.feed({"x": value}) for value in trace["x"]]
+
+    asked = [lambda end=end: stl.monitor(phi, trace, end) for end in ("error", "cut")]
+    asked += [lambda read=read, wait=wait: read(wait) for read in (blocks, samples) for wait in (False, True)]
+    asked += [lambda: stl.smooth_robustness(phi, trace, 1.0), lambda: stl.monitor(phi, trace, "cut", "boolean")]
+    asked += [lambda: [stl.diagnose(phi, trace, t, end="cut") for t in range(len(x))]]
+    for judge in asked:
+        with pytest.raises(TraceError, match=rf"^step {step}: .* no value"):
+            judge()
+    with pytest.raises(TraceError, match=rf"^trace 1, step {step}: .* no value"):
+        stl.monitor(phi, batch)
+
+
+def test_one_step_is_judged_whatever_has_no_value_at_others():
+    trace = {"x": [1.0] * 8, "y": [1.0, 1, 0, 1, 1, 1, 0, 1]}
+    for text, at in (("x / y > 1 | once[3,3] x > 0", 5), ("x / y > 2 | F[0,3] x > 0", 3)):
+        phi = stl.parse(text)
+        for end in ("error", "cut", "hold"):
+            found = stl.monitor(phi, trace, end, at=at)
+            assert (found.verdicts[0], found.robustness[0]) == (True, 1.0)
 
 
 def test_margins_beyond_the_doubles():

@@ -908,7 +908,7 @@ def same_as_single_steps(online, engine, trace):
 @settings(max_examples=many(60))
 def test_runs_of_steps_are_those_of_single_ones(phi, data):
     online, trace = stl.OnlineMonitor(phi), data.draw(traces(60))
-    engine = early.engine_of(online._judged, online._earlier.made.signals)
+    engine = early.engine_of(online._judged)
     assume(engine.first is not None and not online._earlier.made.signals and not online.wait)
     same_as_single_steps(online, engine, trace)
 
@@ -919,12 +919,55 @@ def test_runs_that_interleave(seed, monkeypatch):
     rng, phi = np.random.default_rng(seed), stl.parse("G[0,9] (p & q)")
     n, m = rng.integers(2, 7, 2)
     drawn = replace(
-        early.engine_of(phi, {}), delta=rng.integers(0, n, (3, n)), letter=rng.integers(0, 3, 4),
+        early.engine_of(phi), delta=rng.integers(0, n, (3, n)), letter=rng.integers(0, 3, 4),
         starts=rng.integers(0, m, (3, m)), begins=rng.integers(0, n, m), first=rng.choice([1, 6, 9], n),
         outcome=rng.integers(1, 3, n),
     )  # fmt: skip
     monkeypatch.setattr(online_module, "engine_of", lambda *arguments: drawn)
     same_as_single_steps(stl.OnlineMonitor(phi), drawn, {name: rng.integers(0, 2, 60) == 1 for name in "pq"})
+
+
+@pytest.mark.parametrize("wait", [False, True])
+@pytest.mark.parametrize(
+    ("text", "x"),
+    [
+        ("1 / (x - x[t-1]) > 0.4", [1.0, 3, 4, 6]),
+        ("F[1,1] 1 / (x - x[t-1]) > 0.4", [1.0, 3, 4, 6]),
+        ("once 1 / (x - x[t-1]) > 0.4", [1.0, 3, 4, 6]),
+        ("F[0,1] (1 / (x - x[t-1]) > 0.4 & x > 3) | once[0,1] (1 / (x - x[t-1]) <= 0.4 & x <= 3)", [4.0, 3, 6, 1]),
+        ("F[0,2] (sqrt(x[t-2]) < 1 & 1 / (x[t-1] - x[t-2]) > 0 & x > 1)", [1.0, 3, 4, 6, 2]),
+        ("x > -x[t-1]", [1.7e308, 1, 1, 1]),
+        # at step 0 neither of two comparisons has a value, of which one holds at all others
+        ("F[0,1] (1 / (x - x[t-1]) > 0.4 & y > 3) | G[0,1] (1 / (x - x[t-1]) <= 0.4 | y > 3)", [0.0, 3, 5]),
+    ],
+)
+def test_what_reads_samples_before_the_trace_is_false(text, x, wait):
+    phi, trace = stl.parse(text), {"x": x, "y": [1.0, 5, 1, 1, 1][: len(x)]}
+    online, found, known = stl.OnlineMonitor(phi, wait), [], stl.monitor(phi, trace, "cut")
+    for t, value in enumerate(x):
+        found += online.feed({"x": value, "y": trace["y"][t]})
+        for step in range(max(0, t - online.horizon), t + 1):
+            if step + online.horizon < len(x):
+                lower, upper = online.bounds(step)
+                assert lower <= known.robustness[step] <= upper
+    found += online.finish()
+    assert [one.verdict for one in sorted(found)] == known.verdicts.tolist()
+    for t in range(len(x) - online.horizon):
+        assert known.verdicts[t] == stl.satisfies(phi, trace, t)
+
+
+def test_the_end_of_a_trace_asks_only_for_values_it_depends_on():
+    online = stl.OnlineMonitor(stl.parse("(1 / (x - x[t-1]) > 0) since G[2,3] (sqrt(x[t-1]) > 1)"), wait=True)
+    trace = {"x": [4.0, 3.0, 2.0, 1.0]}
+    told = [one for t in range(4) for one in online.feed({"x": trace["x"][t]})]
+    for end in ("cut", "hold"):  # x - x[t-1] is 0 where the last sample is held
+        found, wanted = told + online.finish(end), stl.monitor(online.formula, trace, end)
+        assert [one[1:] for one in found] == [*zip(wanted.verdicts, wanted.robustness, strict=True)]
+    online = stl.OnlineMonitor(stl.parse("once F[0,1] 1 / (x - x[t-1]) > 0"), wait=True)
+    online.feed({"x": 4.0})
+    online.feed({"x": 3.0})
+    with pytest.raises(TraceError, match=r"^step 2: .* no value"):
+        online.finish("hold")
 
 
 def test_a_sample_that_decides_many_steps_tells_one_run():
