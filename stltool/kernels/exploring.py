@@ -18,7 +18,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.kernels import jit
-from stltool.kernels.lanes import add, at, first_equal, greater, greatest, load, mul, select, splat, splat_at
+from stltool.kernels.lanes import (
+    add,
+    at,
+    first_equal,
+    greater,
+    greatest,
+    load,
+    mul,
+    put,
+    select,
+    splat,
+    splat_at,
+    trailing,
+)
 from stltool.kernels.rollout import inversion
 from stltool.kernels.tuples import (
     Rules,
@@ -42,6 +55,7 @@ part = functools.partial(jit.part, counts=False)
 PATIENCE = 16  # a belief, and its plan, are held until a choice has been taken by so small a part more often
 NONE, DRAWN, HELD = range(3)  # route.belief[0]
 NO_BELIEF, NO_ROOM = -2, -1  # instead of a choice
+NOTHING, ONE = np.uint64(0), np.uint64(1)
 _LOST = -2  # the choice of a situation where nothing is hoped for
 
 
@@ -169,65 +183,96 @@ def rows(walked: Any, chart: Any, room: Any, level: float) -> None:
 
 
 @part
+def ahead(rules: Any, route: Any, chart: Any, room: Any, t: int, children: int) -> int:
+    """The states that step t leads to, undecided, and their memories, pending; how many groups there are with them.
+
+    Of the children with the same letter, the first is its memory for now, and Q if the task is decided there, one more
+    if it is true.
+    """
+    verdict, memories, pending, bits = rules.verdicts[t + 1], len(room.peak_mark), room.pending, room.bits
+    child, memory, words, groups = chart.child, route.memory, room.pending.shape[1], chart.layer[t + 1]
+    for g in range(chart.layer[t], chart.layer[t + 1]):
+        s, low, begin = chart.touched[g], route.first[g], chart.begin[chart.touched[g]]
+        situations, successors = route.first[g + 1] - low, chart.begin[s + 1] - begin
+        route.counter[1] += 1
+        for k in range(successors):
+            s2 = np.int64(chart.successors[begin + k])
+            letter, some = np.int64(rules.letter[s2]), np.uint64(0)
+            if room.letter_mark[letter] != route.counter[1]:
+                room.letter_mark[letter] = route.counter[1]
+                for w in range(words):
+                    bits[letter, w] = 0
+                for i in range(situations):
+                    q2 = np.int64(rules.delta[letter, memory[low + i]])
+                    known = np.int64(verdict[q2])
+                    if known < 0:
+                        bits[letter, q2 >> 6] |= ONE << np.uint64(q2 & 63)
+                    child[children + i * successors + k] = q2 if known < 0 else memories + known
+            for w in range(words):
+                some |= bits[letter, w]
+                pending[s2, w] |= bits[letter, w]
+            if some != NOTHING and room.state_mark[s2] != t + 1:
+                room.state_mark[s2], chart.touched[groups] = t + 1, s2
+                groups += 1
+        children += situations * successors
+    return int(groups)
+
+
+@part
 def spread(rules: Any, walked: Any, route: Any, chart: Any, room: Any, since: int, s: Any, q: Any) -> bool:
     """The situations that the transitions lead to from there; whether there was room for all their children."""
     h, unseen, letters, memories = len(rules.worth), room.unseen, len(rules.occurring), len(room.peak_mark)
+    number, pending = room.number, room.pending
     unseen[:] = False
     for i in range(len(walked.known)):
         unseen[rules.letter[i]] |= not walked.known[i]
+        number[(i + 1) * (memories + 2) - 2], number[(i + 1) * (memories + 2) - 1] = 0, 1
     route.group[:] = -1
     route.group[since, s] = 0
     route.first[0], route.first[1], route.memory[0] = 0, 1, q
     chart.touched[0], chart.layer[since], chart.layer[since + 1] = s, 0, 1
     chart.kind[0], chart.kinds[since], chart.kinds[since + 1], chart.peaks[since] = 1, 1, 2, 0
-    groups, n, kinds, peaks, children = 1, 1, 2, 0, 0
+    n, kinds, peaks, children = 1, 2, 0, 0
     for t in range(since, h):
+        low, after, more = chart.layer[t], chart.layer[t + 1], children
+        for g in range(low, after):
+            s = chart.touched[g]
+            more += (route.first[g + 1] - route.first[g]) * (chart.begin[s + 1] - chart.begin[s])
+        if more > len(chart.child):
+            return False
+        groups = ahead(rules, route, chart, room, t, children)
         route.counter[1] += 1
         tick, verdict = route.counter[1], rules.verdicts[t + 1]
-        before = children
-        for g in range(chart.layer[t], chart.layer[t + 1]):
-            s = chart.touched[g]
-            begin, end = chart.begin[s], chart.begin[s + 1]
-            if children + (route.first[g + 1] - route.first[g]) * (end - begin) > len(chart.child):
-                return False
-            for i in range(route.first[g], route.first[g + 1]):
-                q = np.int64(route.memory[i])
-                for k in range(begin, end):
-                    s2 = np.int64(chart.successors[k])
-                    q2 = np.int64(rules.delta[rules.letter[s2], q])
-                    child = np.int64(verdict[q2])
-                    if child < 0:
-                        pair = s2 * memories + q2
-                        child = 2 + pair
-                        if room.mark[pair] != tick:
-                            room.mark[pair] = tick
-                            if room.n_pending[s2] == 0:
-                                chart.touched[groups] = s2
-                                groups += 1
-                            room.pending[s2, room.n_pending[s2]] = q2
-                            room.n_pending[s2] += 1
-                    chart.child[children] = child
-                    children += 1
-        for g in range(chart.layer[t + 1], groups):
-            s2 = chart.touched[g]
-            letter = rules.letter[s2]
-            route.group[t + 1, s2] = g
-            for i in range(room.n_pending[s2]):
-                q2 = room.pending[s2, i]
-                if room.kind_mark[letter, q2] != tick:
-                    room.kind_mark[letter, q2], room.kind_number[letter, q2] = tick, kinds
-                    kinds += 1
-                route.memory[n], room.number[s2 * memories + q2] = q2, n
-                chart.kind[n] = room.kind_number[letter, q2]
-                n += 1
-            room.n_pending[s2] = 0
+        for g in range(after, groups):
+            s2 = np.int64(chart.touched[g])
+            letter = np.int64(rules.letter[s2])
+            route.group[t + 1, s2], room.state_mark[s2] = g, 0
+            for w in range(pending.shape[1]):
+                left = pending[s2, w]
+                pending[s2, w] = 0
+                while left != NOTHING:
+                    q2 = 64 * w + np.int64(trailing(left))
+                    left &= left - ONE
+                    if room.kind_mark[letter, q2] != tick:
+                        room.kind_mark[letter, q2], room.kind_number[letter, q2] = tick, kinds
+                        kinds += 1
+                    route.memory[n], number[s2 * (memories + 2) + q2] = q2, 2 + n
+                    chart.kind[n] = room.kind_number[letter, q2]
+                    n += 1
             route.first[g + 1] = n
         if t + 1 < h:
             chart.layer[t + 2], chart.kinds[t + 2] = groups, kinds
-        for m in range(before, children):
-            if chart.child[m] > 1:
-                chart.child[m] = 2 + room.number[chart.child[m] - 2]
-        for i in range(route.first[chart.layer[t]], route.first[chart.layer[t + 1]]):
+        for g in range(low, after):
+            s, begin = chart.touched[g], chart.begin[chart.touched[g]]
+            successors, before = chart.begin[s + 1] - begin, children
+            children += (route.first[g + 1] - route.first[g]) * successors
+            for k in range(successors - 1, -1, -1):  # the first with its letter last, which the others are read from
+                s2, first = np.int64(chart.successors[begin + k]), 0
+                while rules.letter[chart.successors[begin + first]] != rules.letter[s2]:
+                    first += 1
+                for m in range(before, children, successors):
+                    put(chart.child, m + k, at(number, s2 * (memories + 2) + at(chart.child, m + first)))
+        for i in range(route.first[low], route.first[after]):
             q = np.int64(route.memory[i])
             if room.peak_mark[q] != tick:
                 room.peak_mark[q], room.peak_number[q] = tick, peaks
@@ -312,8 +357,6 @@ def plan(rules: Any, walked: Any, route: Any, chart: Any, room: Any, since: int,
     if stamp[1] != known or stamp[2] != since or stamp[3] != s or stamp[4] != q:
         stamp[1] = -1
         if not spread(rules, walked, route, chart, room, since, s, q):
-            for x in range(len(room.n_pending)):
-                room.n_pending[x] = 0
             return False
         stamp[1], stamp[2], stamp[3], stamp[4] = known, since, s, q
     route.counter[0] += 1

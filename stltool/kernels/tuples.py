@@ -190,9 +190,10 @@ class Room(NamedTuple):
     value (2 + situations,), best (kinds,), top (peaks,)
     memo (n,), unseen (letters,)     hope by visits; whether a state of that letter was never seen
     used, where (S,), successors (entries,)   marks of states, and their places; states, sorted
-    mark, number (S · Q,)            marks of situations of the next step, and their numbers
-    kind_mark, kind_number (letters, Q), peak_mark, peak_number (Q,)   the same of kinds and peaks
-    pending (S, Q), n_pending (S,)   memories of the next step by state
+    number (S · (Q + 2),)              what situations of the next step are worth: 2 + their numbers; 0 and 1
+    kind_mark, kind_number (letters, Q), peak_mark, peak_number (Q,)   marks of kinds and peaks, and their numbers
+    state_mark (S,), pending (S, Q / 64)   marks of states of the next step; their memories, as bits
+    letter_mark (letters,), bits (letters, Q / 64)   marks of letters of a group's successors; where its memories lead
     """
 
     probability: NDArray[np.float64]
@@ -206,14 +207,15 @@ class Room(NamedTuple):
     used: NDArray[np.int64]
     where: NDArray[np.int64]
     successors: NDArray[np.int32]
-    mark: NDArray[np.int64]
     number: NDArray[np.int32]
     kind_mark: NDArray[np.int64]
     kind_number: NDArray[np.int32]
     peak_mark: NDArray[np.int64]
     peak_number: NDArray[np.int32]
-    pending: NDArray[np.int32]
-    n_pending: NDArray[np.int64]
+    state_mark: NDArray[np.int64]
+    pending: NDArray[np.uint64]
+    letter_mark: NDArray[np.int64]
+    bits: NDArray[np.uint64]
 
 
 def lines(n: int) -> NDArray[np.float64]:
@@ -250,15 +252,17 @@ def chart_of(h: int, Q: int, first_choice: NDArray[np.int64], letters: int) -> C
 
 def room_of(h: int, S: int, Q: int, letters: int, blocks: int) -> Room:
     """Room for such charts and plans; none for entries yet."""
+    words = (Q + 63) // 64
     return Room(
         probability=np.zeros(0), hope=lines(16 * blocks), fresh=lines(16 * blocks),
         value=np.zeros(h * S * Q + 2), best=np.zeros(h * min(letters, S) * Q + 1), top=np.zeros(h * Q),
         memo=np.zeros(64), unseen=np.zeros(letters, dtype=np.bool_), used=np.zeros(S, dtype=np.int64),
         where=np.zeros(S, dtype=np.int64), successors=np.zeros(0, dtype=np.int32),
-        mark=np.zeros(S * Q, dtype=np.int64), number=np.zeros(S * Q, dtype=np.int32),
+        number=np.zeros(S * (Q + 2), dtype=np.int32),
         kind_mark=np.zeros((letters, Q), dtype=np.int64), kind_number=np.zeros((letters, Q), dtype=np.int32),
         peak_mark=np.zeros(Q, dtype=np.int64), peak_number=np.zeros(Q, dtype=np.int32),
-        pending=np.zeros((S, Q), dtype=np.int32), n_pending=np.zeros(S, dtype=np.int64),
+        state_mark=np.zeros(S, dtype=np.int64), pending=np.zeros((S, words), dtype=np.uint64),
+        letter_mark=np.zeros(letters, dtype=np.int64), bits=np.zeros((letters, words), dtype=np.uint64),
     )  # fmt: skip
 
 
