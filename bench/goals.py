@@ -26,7 +26,7 @@ import stltool as stl
 
 FACTORY = Path(__file__).resolve().parent.parent / "examples" / "factory"
 SEEDS = 20
-BEYOND = 6  # of each family
+BEYOND = 12  # of each family
 SHARE = {"model-based": 50, "cfer": 20}
 # id → task, cells a side, T, τ, the paper's episodes
 SCENARIOS = {
