@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from stltool.automata.automaton import FALSE, TRUE, UNDECIDED, Remembered, TaskAutomaton, Text
 from stltool.automata.minimise import coarsest_partition, quotient
+from stltool.display import counted
 from stltool.errors import SizeError
 from stltool.sizes import memory_limit, require_memory
 
@@ -166,14 +167,18 @@ class _Windows:
         row = self._rows[q]
         if self._safety and row[-1] == FALSE:
             return (Remembered("a window has been violated, or must be", rank=q, status="failed"),)
-        held = f"the window that began {len(row) - 1} steps ago is {'satisfied' if row[-1] == TRUE else 'violated'}"
+        verdict = "satisfied" if row[-1] == TRUE else "violated"
+        told = [f"the window that began {counted(len(row) - 1, 'step')} ago is {verdict}"]
         failed, opened = np.flatnonzero(row[:-1] == FALSE), np.flatnonzero(row[:-1] >= _OPEN)
-        told = [held]
         if failed.size:
-            told.append(f"{len(failed)} later ones, too, since {failed[-1]} steps ago, will be violated")
+            since = counted(int(failed[-1]), "step")
+            told.append(f"{counted(len(failed), 'later one')}, too, since {since} ago, will be violated")
         if opened.size:
             age = int(opened[-1])
             state = int(np.flatnonzero(self._of_age[age] == row[age])[0])
             kept = ", ".join(one.phrase for one in self._memory(state, text))
-            told.append(f"{len(opened)} are open, of which the oldest began {age} steps ago: {kept}")
+            told.append(
+                f"{len(opened)} {'is' if len(opened) == 1 else 'are'} open, of which the oldest began "
+                f"{counted(age, 'step')} ago: {kept}"
+            )
         return (Remembered("; ".join(told), rank=q, status="open" if opened.size else "done"),)

@@ -73,10 +73,6 @@ class Span:
     low_open: bool = False
     high_open: bool = False
 
-    def holds(self, value: Fraction) -> bool:
-        above = self.low is None or (value > self.low if self.low_open else value >= self.low)
-        return above and (self.high is None or (value < self.high if self.high_open else value <= self.high))
-
     @property
     def empty(self) -> bool:
         if self.low is None or self.high is None:

@@ -153,6 +153,7 @@ def test_histories_on_every_trace(text):
     assert (judge_all(automaton, everything) == truth_of_all(phi, everything)).all()
     assert (automaton.verdicts(automaton.horizon) != UNDECIDED).all()
     assert (automaton.verdicts(automaton.horizon - 1) == UNDECIDED).any()
+    assert [part.delay for part in automaton.parts] == [stl.horizon(automaton.parts[0].obligation)]
 
 
 @given(phi=flag_formulas())

@@ -139,6 +139,8 @@ def test_sizes(text, states):
 def test_what_must_remember_too_much_is_refused_with_the_count():
     with pytest.raises(SizeError, match=r"once\[30,30\] a alone has 1\.07e\+09, since it must remember when a held"):
         stl.compile_automaton(stl.parse("G[0,90] (b -> once[30,30] a)"))
+    with pytest.raises(SizeError, match="over 300 states; shorten its inner windows"):  # of a past of a past
+        stl.compile_automaton(stl.parse("G[0,90] (b -> once[30,30] (a since[0,3] c))"), most_states=300)
     assert stl.compile_automaton(stl.parse("G[0,90] once[30,30] a")).n_states == 2  # false at step 0
     assert stl.compile_automaton(stl.parse("F[0,5] once[30,30] a")).n_states <= 7
 

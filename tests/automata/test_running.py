@@ -66,6 +66,21 @@ def test_safety_fails_once_and_for_ever(phi, seed):
     assert (np.diff(found.astype(int)) <= 0).all()
 
 
+def test_states_say_which_windows_are_open_or_lost():
+    automaton = stl.compile_automaton(stl.parse("G[0,3] a"), "running")
+    told = {automaton.describe(q) for q in range(automaton.n_states)}
+    first = "the window that began 3 steps ago is violated"
+    assert told == {
+        "the window that began 3 steps ago is satisfied; 3 are open, of which the oldest began 2 steps ago: a so far",
+        f"{first}; 3 are open, of which the oldest began 2 steps ago: a so far",
+        f"{first}; 1 later one, too, since 2 steps ago, will be violated; "
+        "2 are open, of which the oldest began 1 step ago: a so far",
+        f"{first}; 2 later ones, too, since 2 steps ago, will be violated; "
+        "1 is open, of which the oldest began 0 steps ago: a so far",
+        f"{first}; 3 later ones, too, since 2 steps ago, will be violated",
+    }
+
+
 @pytest.mark.parametrize(
     ("text", "states"),
     [
@@ -98,7 +113,7 @@ def test_there_are_no_more_states_than_needed(text, states):
 def test_states_are_told_in_words():
     automaton = stl.compile_automaton(stl.parse("F[0,2] a"), "running")
     told = set(automaton.state_names)
-    assert "the window that began 2 steps ago is violated; 2 are open, of which the oldest began 1 steps ago: " in str(
+    assert "the window that began 2 steps ago is violated; 2 are open, of which the oldest began 1 step ago: " in str(
         sorted(told)
     )
 

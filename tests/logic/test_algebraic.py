@@ -133,6 +133,17 @@ def test_the_nearest_double_of_a_root(value):
     assert ((F(found) + above) / 2) ** 2 >= value
 
 
+def test_signs_where_what_is_enclosed_is_wide():
+    """p² − 2q² = ±1: no fraction with as small a denominator is nearer to √2, and q times its enclosure is as wide."""
+    p, q = 1, 1
+    for _ in range(120):
+        side = 1 if p * p < 2 * q * q else -1
+        for exponent in (1, 2, 3):  # of a number that has not been enclosed more closely before
+            assert sign(power(q * root(F(2)) - p, F(exponent))) == side**exponent
+            assert power(q * (root(F(2)) * root(F(3)) - root(F(6))), F(exponent)) == 0
+        p, q = p + 2 * q, p + q
+
+
 def test_a_double_half_way_goes_to_the_even_one():
     half = root(F(2)) * root(F(2)) / 2 + F(1, 2**53)  # 1 + 2⁻⁵³, as an expression with roots
     assert isinstance(half, Algebraic)

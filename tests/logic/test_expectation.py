@@ -10,6 +10,7 @@ import stltool as stl
 from stltool.errors import StlSyntaxError
 from stltool.logic.format import format_task
 from stltool.logic.lint import ambiguities
+from stltool.logic.parser import survey_task
 from stltool.logic.syntax import read
 from stltool.source import Source
 from stltool.testing import expectations
@@ -241,6 +242,13 @@ def test_what_is_suspicious_is_told(line, told):
 def test_what_is_defined_is_known_whether_or_not_it_can_be_built():
     text = 'forever := G a\nwrong := F[0,T] a\nexpect holds(forever, trace "log.csv")\nexpect Pmax(wrong) > 1/2\n'
     assert ambiguities(read(Source("t", text), "task")) == []
+
+
+def test_a_file_read_for_its_expectations_may_be_unbounded_also_with_other_params(tmp_path):
+    (tmp_path / "log.stl").write_text("param T = 2\nr := F G[0,T] a\n")
+    task = survey_task(tmp_path / "log.stl").task
+    assert task.formula == stl.parse("F G[0,2] a", unbounded=True)
+    assert task.with_params(T=3).formula == stl.parse("F G[0,3] a", unbounded=True)
 
 
 def test_signals_of_expectations_are_declared_too():

@@ -25,7 +25,7 @@ from stltool.logic.formula import (
     children,
     walk,
 )
-from stltool.logic.occurrences import occurrences, with_replaced
+from stltool.logic.occurrences import occurrences, polarities, with_replaced
 from stltool.testing import formulas, traces
 from stltool.testing.formulas import terms
 
@@ -214,3 +214,5 @@ def test_places_and_what_replacing_them_can_do(phi, data):
 def test_polarity():
     signs = [place.polarity for place in occurrences(stl.parse("!a & (b -> !c) & (d <-> !e) & !(f U[0,1] g)"))]
     assert signs == [1, 1, -1, 1, -1, 1, -1, 1, 0, 0, 0, 1, -1, -1, -1]
+    found = polarities(stl.parse("F[0,1] !a & !(G[0,1] b) & ((F[0,1] c) <-> d) & (F[0,1] x > 0 -> F[0,2] x > 0)"))
+    assert found == {stl.parse(text): sign for text, sign in {"a": -1, "b": -1, "c": 0, "d": 0, "x > 0": 0}.items()}

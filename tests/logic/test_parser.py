@@ -119,97 +119,97 @@ def test_every_terminal_of_the_grammar_has_words():
     assert set(TERMINAL_WORDS) - named == {"$END"}
 
 
-@pytest.mark.parametrize(
-    ("text", "place", "says"),
-    [
-        ("G[0,3] (a &\n  & b)", "line 2, column 3", "expected a formula"),
-        ("G a", "line 1, column 1", "such as G[0,10]"),
-        ("F (a & b)", "line 1, column 1", "such as F[0,10]"),
-        ("a & b U c", "line 1, column 7", "until needs an interval with an end here, such as U[0,10]"),
-        ("G[2,inf) a", "line 1, column 2", "such as G[2,12]"),
-        ("F[] a", "line 1, column 2", "could be an empty interval"),
-        ("F[3] a", "line 1, column 4", "an interval needs two bounds; from now to 3, as in MLTL, is F[0,3]"),
-        ("F[a > 3] b", "line 1, column 5", "an interval needs two integer bounds"),
-        ("a b", "line 1, column 3", "expected an operator between 'a' and 'b'"),
-        ("2 < x < 4", "line 1, column 1", "write (x > 2 & x < 4)"),
-        ("x + 1", "line 1, column 1", "x + 1 > 0"),
-        ("sqrt(a & b) > 1", "line 1, column 6", "expected a number, found a Boolean expression"),
-        ("F[0,2.5] a", "line 1, column 5", "2.5 is not an integer number of steps; write 2 or 3"),
-        ("F[3,3) a", "line 1, column 2", "the interval [3,3) is empty"),
-        ("F[5,2] a", "line 1, column 2", "the interval [5,2] is empty; write, for example, [2,5]"),
-        ("F[5,-1] a", "line 1, column 2", "the interval [5,-1] is empty; write, for example, [0,5]"),
-        ("G[5,0] a", "line 1, column 2", "the interval [5,0] is empty; write, for example, [0,5]"),
-        ("F[-1,2] a", "line 1, column 3", "steps count from 0"),
-        ("F[0,T] a", "line 1, column 5", "T is not a param; give it a value: param T = 10"),
-        ("F[0,1/0] a", "line 1, column 5", "division by zero"),
-        ("F[0,1e999999] a", "line 1, column 5", "out of range"),
-        ("F[0,sqrt(4)] a", "line 1, column 5", "no exact value"),
-        ("x = 3", "line 1, column 3", "write == to compare"),
-        ("a U[0,1] b U[0,2] c", "line 1, column 12", "until cannot be chained"),
-        ("foo(x) > 2", "line 1, column 4", "foo is not a function"),
-        ("a § b", "line 1, column 3", "unexpected character '§'"),
-        ("3x > 2", "line 1, column 1", "runs into letters"),
-        (
-            "(a",
-            "line 1, column 3",
-            "the text ends here; the parenthesis opened at line 1, column 1 is not closed; write )",
-        ),
-        (
-            "F[0,T b",
-            "line 1, column 7",
-            "the interval opened at line 1, column 2 is not closed; write ] or ) before 'b'",
-        ),
-        ("F[0,5 -x > 3", "line 1, column 10", "the interval opened at line 1, column 2 is not closed; write ] or )"),
-        ("G[0,5] (F[0,3 a)", "line 1, column 15", "the interval opened at line 1, column 10 is not closed"),
-        ("F[0,3 F[0,5] a", "line 1, column 7", "the interval opened at line 1, column 2 is not closed"),
-        (
-            "F[0, (2+1] a",
-            "line 1, column 10",
-            "the parenthesis opened at line 1, column 6 is not closed; write ) before ']'",
-        ),
-        ("F(0,5 x > 3", "line 1, column 7", "the interval opened at line 1, column 2 is not closed; write ] or )"),
-        ("always (mode = 2 -> v <= 3)", "line 1, column 14", "unexpected '='; write == to compare, := to define\n"),
-        ("always (mode = 2", "line 1, column 14", "define; the parenthesis opened at line 1, column 8 is not closed"),
-        ("G (sin(x) > 3)", "line 1, column 7", "unexpected '('; sin is not a function"),
-        ("[] (output(0) < 4750)", "line 1, column 11", "as in FalCAuN; write the name of the signal"),
-        ("signal(0) < 4750 & a", "line 1, column 7", "as in FalCAuN; write the name of the signal"),
-        ("a & O[0,3] b", "line 1, column 8", "there is no operator O; write once[0,3] a"),
-        ("G[0,9] (a S[2,T] b)", "line 1, column 11", "there is no operator S; write a since[2,T] b"),
-        ("F[0,9] H a", "line 1, column 10", "there is no operator H; write historically[0,5] a"),
-        ("mode in {1,2}", "line 1, column 9", "a set is written as comparisons"),
-        ("x <> 5", "line 1, column 3", "write != for not equal"),
-        ("x ~= 5", "line 1, column 3", "write != for not equal"),
-        ("F<=5 a", "line 1, column 2", 'for PRISM\'s F<=5, write F[0,5]; for a signal called F, write "F" <= 5'),
-        ("a U>5 b", "line 1, column 4", "write U(5,inf)"),
-        ("F != 5", "line 1, column 3", 'for a signal of that name, write "F" != 5'),
-        ("Pmax=? [ F<=5 a ]", "line 1, column 6", "write the formula alone and use stltool check"),
-        ("P>=0.9 [ F[0,5] a ]", "line 1, column 8", "expect Pmax(name) >= 0.9"),
-        ("G{0,5} a", "line 1, column 2", "unexpected '{'; an interval is in brackets: G[0,5]"),
-        ("F[0,3] {a & b}", "line 1, column 8", "group with parentheses"),
-        ("a imply b", "line 1, column 3", "write implies, or ->"),
-        ("x => 5", "line 1, column 1", "to compare, write x >= 5"),
-        ("x =< 5", "line 1, column 3", "write <= for =<"),
-        ("F[0 a", "line 1, column 5", "such as F[0,10]; the interval opened at line 1, column 2 is not closed"),
-        ("x[t > 3", "line 1, column 5", "the bracket opened at line 1, column 2 is not closed; write ] before '>'"),
-        ("abs(x > 3", "line 1, column 10", "the parenthesis opened at line 1, column 4 is not closed; write )"),
-        ("(a b", "line 1, column 4", "between 'a' and 'b'; the parenthesis opened at line 1, column 1 is not closed"),
-        ("G[0,5] (a &", "line 1, column 12", "expected a formula; the parenthesis opened at line 1, column 8 is not"),
-        ("a)", "line 1, column 2", "there is no open parenthesis here; remove it, or open one earlier"),
-        ("F[0,5]] a", "line 1, column 7", "there is no open bracket here; remove it, or open one earlier"),
-        ("abs(x, y) > 1", "line 1, column 1", "abs takes one argument, not 2"),
-        ("x > 1e400", "line 1, column 5", "too large for a double"),
-    ],
-)
-def test_a_syntax_error_says_where_what_and_what_to_write(text, place, says):
-    with pytest.raises(StlSyntaxError) as caught:
-        stl.parse(text)
-    message = str(caught.value)
-    assert place in message
-    assert says in message
-    line, caret = message.splitlines()[-2:]
-    assert line.strip() in text
-    assert set(caret.strip()) == {"^"}
-    assert caret.index("^") - 4 == int(place.rsplit(" ", 1)[1]) - 1
+REFUSED = [
+    ("G[0,3] (a &\n  & b)", "line 2, column 3", "expected a formula"),
+    ("G a", "line 1, column 1", "such as G[0,10]"),
+    ("F (a & b)", "line 1, column 1", "such as F[0,10]"),
+    ("a & b U c", "line 1, column 7", "until needs an interval with an end here, such as U[0,10]"),
+    ("G[2,inf) a", "line 1, column 2", "such as G[2,12]"),
+    ("F[] a", "line 1, column 2", "could be an empty interval"),
+    ("F[3] a", "line 1, column 4", "an interval needs two bounds; from now to 3, as in MLTL, is F[0,3]"),
+    ("F[a > 3] b", "line 1, column 5", "an interval needs two integer bounds"),
+    ("a b", "line 1, column 3", "expected an operator between 'a' and 'b'"),
+    ("2 < x < 4", "line 1, column 1", "write (x > 2 & x < 4)"),
+    ("x + 1", "line 1, column 1", "x + 1 > 0"),
+    ("sqrt(a & b) > 1", "line 1, column 6", "expected a number, found a Boolean expression"),
+    ("F[0,2.5] a", "line 1, column 5", "2.5 is not an integer number of steps; write 2 or 3"),
+    ("F[3,3) a", "line 1, column 2", "the interval [3,3) is empty"),
+    ("F[5,2] a", "line 1, column 2", "the interval [5,2] is empty; write, for example, [2,5]"),
+    ("F[5,-1] a", "line 1, column 2", "the interval [5,-1] is empty; write, for example, [0,5]"),
+    ("G[5,0] a", "line 1, column 2", "the interval [5,0] is empty; write, for example, [0,5]"),
+    ("F[-1,2] a", "line 1, column 3", "steps count from 0"),
+    ("F[0,T] a", "line 1, column 5", "T is not a param; give it a value: param T = 10"),
+    ("F[0,1/0] a", "line 1, column 5", "division by zero"),
+    ("F[0,1e999999] a", "line 1, column 5", "out of range"),
+    ("F[0,sqrt(4)] a", "line 1, column 5", "no exact value"),
+    ("x = 3", "line 1, column 3", "write == to compare"),
+    ("a U[0,1] b U[0,2] c", "line 1, column 12", "until cannot be chained"),
+    ("foo(x) > 2", "line 1, column 4", "foo is not a function"),
+    ("a § b", "line 1, column 3", "unexpected character '§'"),
+    ("3x > 2", "line 1, column 1", "runs into letters"),
+    (
+        "(a",
+        "line 1, column 3",
+        "the text ends here; the parenthesis opened at line 1, column 1 is not closed; write )",
+    ),
+    (
+        "F[0,T b",
+        "line 1, column 7",
+        "the interval opened at line 1, column 2 is not closed; write ] or ) before 'b'",
+    ),
+    ("F[0,5 -x > 3", "line 1, column 10", "the interval opened at line 1, column 2 is not closed; write ] or )"),
+    ("G[0,5] (F[0,3 a)", "line 1, column 15", "the interval opened at line 1, column 10 is not closed"),
+    ("F[0,3 F[0,5] a", "line 1, column 7", "the interval opened at line 1, column 2 is not closed"),
+    (
+        "F[0, (2+1] a",
+        "line 1, column 10",
+        "the parenthesis opened at line 1, column 6 is not closed; write ) before ']'",
+    ),
+    ("F(0,5 x > 3", "line 1, column 7", "the interval opened at line 1, column 2 is not closed; write ] or )"),
+    ("always (mode = 2 -> v <= 3)", "line 1, column 14", "unexpected '='; write == to compare, := to define\n"),
+    ("always (mode = 2", "line 1, column 14", "define; the parenthesis opened at line 1, column 8 is not closed"),
+    ("G (sin(x) > 3)", "line 1, column 7", "unexpected '('; sin is not a function"),
+    ("[] (output(0) < 4750)", "line 1, column 11", "as in FalCAuN; write the name of the signal"),
+    ("signal(0) < 4750 & a", "line 1, column 7", "as in FalCAuN; write the name of the signal"),
+    ("a & O[0,3] b", "line 1, column 8", "there is no operator O; write once[0,3] a"),
+    ("G[0,9] (a S[2,T] b)", "line 1, column 11", "there is no operator S; write a since[2,T] b"),
+    ("F[0,9] H a", "line 1, column 10", "there is no operator H; write historically[0,5] a"),
+    ("mode in {1,2}", "line 1, column 9", "a set is written as comparisons"),
+    ("x <> 5", "line 1, column 3", "write != for not equal"),
+    ("x ~= 5", "line 1, column 3", "write != for not equal"),
+    ("F<=5 a", "line 1, column 2", 'for PRISM\'s F<=5, write F[0,5]; for a signal called F, write "F" <= 5'),
+    ("a U>5 b", "line 1, column 4", "write U(5,inf)"),
+    ("F != 5", "line 1, column 3", 'for a signal of that name, write "F" != 5'),
+    ("Pmax=? [ F<=5 a ]", "line 1, column 6", "write the formula alone and use stltool check"),
+    ("P>=0.9 [ F[0,5] a ]", "line 1, column 8", "P >= 0.9 […] bounds a probability, as in PRISM; write the formula"),
+    ("G{0,5} a", "line 1, column 2", "unexpected '{'; an interval is in brackets: G[0,5]"),
+    ("F[0,3] {a & b}", "line 1, column 8", "group with parentheses"),
+    ("a imply b", "line 1, column 3", "write implies, or ->"),
+    ("x => 5", "line 1, column 1", "to compare, write x >= 5"),
+    ("x =< 5", "line 1, column 3", "write <= for =<"),
+    ("F[0 a", "line 1, column 5", "such as F[0,10]; the interval opened at line 1, column 2 is not closed"),
+    ("x[t > 3", "line 1, column 5", "the bracket opened at line 1, column 2 is not closed; write ] before '>'"),
+    ("abs(x > 3", "line 1, column 10", "the parenthesis opened at line 1, column 4 is not closed; write )"),
+    ("(a b", "line 1, column 4", "between 'a' and 'b'; the parenthesis opened at line 1, column 1 is not closed"),
+    ("G[0,5] (a &", "line 1, column 12", "expected a formula; the parenthesis opened at line 1, column 8 is not"),
+    ("a)", "line 1, column 2", "there is no open parenthesis here; remove it, or open one earlier"),
+    ("F[0,5]] a", "line 1, column 7", "there is no open bracket here; remove it, or open one earlier"),
+    ("abs(x, y) > 1", "line 1, column 1", "abs takes one argument, not 2"),
+    ("x > 1e400", "line 1, column 5", "too large for a double"),
+]
+
+
+def test_a_syntax_error_says_where_what_and_what_to_write():
+    for text, place, says in REFUSED:
+        with pytest.raises(StlSyntaxError) as caught:
+            stl.parse(text)
+        message = str(caught.value)
+        assert place in message, text
+        assert says in message, text
+        line, caret = message.splitlines()[-2:]
+        assert line.strip() in text
+        assert set(caret.strip()) == {"^"}
+        assert caret.index("^") - 4 == int(place.rsplit(" ", 1)[1]) - 1, text
 
 
 @given(phi=formulas(), data=st.data())

@@ -4,7 +4,6 @@ import itertools
 import random
 from fractions import Fraction
 
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -64,9 +63,8 @@ def test_linear_comparisons_are_solved_and_no_assignment_is_missing(read, seed):
             assert not group.sharp or tuple(truth(leaf, values) for leaf in group.leaves) in group.rows
 
 
-@pytest.mark.parametrize(
-    ("text", "rows", "sharp"),
-    [
+def test_what_is_solved_and_what_is_sought_among_points():
+    for text, rows, sharp in [
         ("x == 0.3 & x > 0.29999999999999999", 3, True),
         ("3 * x == 1", 1, True),  # no decimal is a third
         ("3 * y == x", 2, True),
@@ -77,13 +75,33 @@ def test_linear_comparisons_are_solved_and_no_assignment_is_missing(read, seed):
         ("x^2 == 4 & x > 0", 4, False),
         ("x * y > 8", 2, False),
         ("1 / x > 2", 2, False),  # 1/0 has no value
-    ],
-)
-def test_what_is_solved_and_what_is_sought_among_points(text, rows, sharp):
-    [group] = groups(leaves(stl.parse(text)), RANGES)
-    assert (len(group.rows), group.sharp) == (rows, sharp)
-    for row in group.rows:
-        assert tuple(truth(leaf, group.simplest(row)) for leaf in group.leaves) == row
+    ]:
+        [group] = groups(leaves(stl.parse(text)), RANGES)
+        assert (len(group.rows), group.sharp) == (rows, sharp), text
+        for row in group.rows:
+            assert tuple(truth(leaf, group.simplest(row)) for leaf in group.leaves) == row, text
+
+
+def test_points_lie_in_their_ranges_which_may_be_open():
+    for text, low, high in [
+        ("x^2 > 0.1", "0.3", "0.4"),
+        ("x^2 > 0.1", "-0.4", "-0.3"),
+        ("x^2 > 99", None, None),
+        ("x^2 > 99", None, 500),
+        ("x^2 > 99", -500, None),
+        ("x^2 > 99", None, -3),
+        ("x^2 > 99", 7, None),
+    ]:
+        low, high = (None if end is None else Fraction(end) for end in (low, high))
+        leaf = stl.parse(text)
+        [group] = groups([leaf], {"x": (low, high)})
+        assert set(group.rows) == {(False,), (True,)}, text
+        for row in group.rows:
+            for draw in (lambda n: 0, *(random.Random(seed).randrange for seed in range(9))):
+                [value] = group.pick(row, draw).values()
+                assert truth(leaf, {"x": value}) == row[0]
+                assert low is None or low <= value
+                assert high is None or value <= high
 
 
 def test_values_are_short_and_reach_the_ends():

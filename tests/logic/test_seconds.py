@@ -12,6 +12,7 @@ import pytest
 
 import stltool as stl
 from stltool.logic.formula import Composable, variables
+from stltool.logic.printer import with_names
 from stltool.logic.syntax import bare, branches, read
 from stltool.source import Source
 from tests.conftest import DATA, OUTSIDE, needs_outside
@@ -217,3 +218,11 @@ def test_the_requirements_of_arch_comp_as_transcribed():
     assert set(NO_SECONDS) < set(names)
     texts = [formula for name, formula, *_ in rows if name not in NO_SECONDS]
     assert set().union(*(compare(f"r := {text}", bounds_step(text)) for text in texts)) == {True, False}
+
+
+def test_formulas_are_written_with_their_definitions_and_times():
+    task = stl.parse_task("step = 0.5s\nunit = s\nhold := G[0,1] a & x > 0\nr := F[0,3] hold | once[1,2] b -> !hold")
+    text = with_names({"hold": task.formulas["hold"]}, task.ticks)
+    assert text(task.formula) == "((F[0,3s] hold) | (once[1s,2s] b)) -> !hold"
+    assert text(stl.parse("true & b U[0,1] (rise c)")) == "true & (b U[0,0.5s] (rise c))"
+    assert text(stl.parse("once b", unbounded=True)) == "once[0,inf) b"
