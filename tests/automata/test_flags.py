@@ -89,6 +89,14 @@ def test_equal_automata_do_not_disagree():
     assert with_formula(flags) is None
 
 
+def test_automata_of_other_horizons_are_compared_to_the_end_of_the_longer():
+    short, long = (stl.compile_automaton(stl.parse(text)) for text in ("F[0,1] a", "F[0,3] a"))
+    for left, right in ((short, long), (long, short)):
+        letters = [automaton.letters_at(short.valuations) for automaton in (left, right)]
+        found = disagreement(left, right, *letters)
+        assert short.valuations[found].tolist() == [[False], [False], [True]]
+
+
 def test_outside_the_fragment_the_paper_has_no_encoding():
     with pytest.raises(FragmentError, match="use the exact encoding"):
         stl.compile_automaton(stl.parse("G[0,5] F[0,3] G[0,2] a"), "paper")

@@ -184,7 +184,7 @@ def test_dot_is_graphviz_text():
     automaton = stl.compile_automaton(stl.parse("G[0,4] F[0,3] a"))
     text = to_dot(automaton)
     assert text.startswith("// Generator: stltool\n// G[0,4] F[0,3] a\ndigraph task {")
-    assert "a not seen for 2 steps" in text
+    assert 'label="a not seen for 2 steps\ntrue from step 7"' in text
     assert r"G[0,4] F[0,3] a\nhorizon 7, encoding exact" in text.replace("\n", r"\n")
     assert text.count("->") == sum(1 for _ in to_graph(automaton).edges) + 1
     with pytest.raises(SizeError, match="a picture shows at most"):

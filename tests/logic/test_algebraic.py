@@ -107,6 +107,7 @@ def test_squares_have_the_absolute_value_as_their_root(pair):
         (power(F(8, 27), F(-2, 3)), F(9, 4)),
         (power(root(F(2)), F(0)), F(1)),
         (root(root(F(81, 16))), F(3, 2)),
+        (power(power(F(2), F(1, 12)), F(12)), F(2)),  # the largest root
     ],
 )
 def test_identities(left, right):

@@ -68,6 +68,7 @@ def test_what_is_solved_and_what_is_sought_among_points():
         ("x == 0.3 & x > 0.29999999999999999", 3, True),
         ("3 * x == 1", 1, True),  # no decimal is a third
         ("3 * y == x", 2, True),
+        ("3 * y == x - 1", 2, True),  # x = 3y + 1: for every decimal y
         ("x + y == 0.8 & x - y > 0.1", 4, True),
         ("7 * x + 3 * y == 1", 1, False),  # some decimals solve it: -2 and 5
         ("1 > 2", 1, True),
