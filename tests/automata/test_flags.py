@@ -34,6 +34,13 @@ def test_flags_of_always_count_every_step():
         assert (judge_all(stl.compile_automaton(phi, "paper"), everything) == truth_of_all(phi, everything)).all()
 
 
+def test_a_flag_counts_up_to_its_window():
+    parts = paper("G[0,3] (F[0,2] a & F[0,4] b)").parts
+    assert [(str(part.obligation), part.delay, part.explored, part.states) for part in parts] == [
+        ("a", 2, 4, 4), ("b", 4, 6, 6),
+    ]  # fmt: skip
+
+
 def paper(text):
     with pytest.warns(InexactEncodingWarning, match="only approximates"):
         return stl.compile_automaton(stl.parse(text), "paper")

@@ -114,6 +114,22 @@ def test_patterns_on_every_trace(text):
     assert (judge_all(stl.compile_automaton(phi), everything) == expected).all()
 
 
+def test_only_windows_of_once_add_up():
+    for text in (
+        "F[2,3] once[0,1] (b since[0,1] a)",
+        "G[2,3] historically[0,1] (b since[1,1] a)",
+        "F[2,3] prev (b since a)",
+    ):
+        phi = stl.parse(text)
+        everything = every_trace(stl.horizon(phi) + 1)
+        expected = stl.monitor(phi, everything, semantics="boolean").verdicts[:, 0]
+        assert (judge_all(stl.compile_automaton(phi), everything) == expected).all()
+    once, twice = (
+        stl.compile_automaton(stl.parse(f"F[2,9] {text} a")) for text in ("once[1,3]", "once[1,2] once[0,1]")
+    )
+    assert (once.n_states, once.delta.tolist()) == (twice.n_states, twice.delta.tolist())
+
+
 @pytest.mark.parametrize(
     ("text", "states"),
     [
