@@ -73,6 +73,15 @@ def test_the_history_encodings_size_is_predicted(phi):
     assert len(automaton.state_names) == automaton.n_states
 
 
+def test_there_are_as_many_histories_as_sequences_of_letters():
+    phi = stl.parse("G[0,1] ((F[0,2] a) | F[0,1] b)")
+    for n in (1, 2, 3, 4):
+        valuations = np.array(list(itertools.product([True, False], repeat=2)))[:n]
+        automaton = stl.compile_automaton(phi, "history", valuations=valuations)
+        assert automaton.n_states == history_states(phi, n) == sum(n**length for length in range(4))
+        assert np.unique(automaton.delta).tolist() == list(range(1, automaton.n_states))
+
+
 def test_the_history_encoding_is_refused_before_it_is_built():
     with pytest.raises(SizeError, match=r"2 letters over 2001 steps, inf states"):
         stl.compile_automaton(stl.parse("G[0,5] F[0,2000] a"), "history")

@@ -205,6 +205,7 @@ REFUSED = [
         "step = 0.1s\nunit = s\nr := F[0,104.05] A",
         "104.05s is not a multiple of the step, 0.1s; write 104 or 104.1",
     ),
+    ("step = 0.1s\nparam d = 52\nr := F[0,d+52.05] A", "d + 52.05 = 104.05 is neither an integer number of steps nor"),
     ("step = 0.1s\nr := F[0,0.5] A", "0.5 could be 0.5s (5 steps): a step is declared, but no unit"),
     ("step = 0.1s\nr := F[0,5] A", "5 could be 5s (50 steps) or 5 steps (0.5s)"),
     ("step = 0.1s\nr := F[0,5] A", "write 5s or 5 steps, or add a line unit = s or unit = step"),
@@ -360,6 +361,14 @@ def test_the_step_that_is_advised_fits_every_bound():
         stl.parse_task(text)
     assert str(caught.value).count("add the lines step = 0.01s and unit = s") == 2
     assert stl.parse_task(f"step = 0.01s\nunit = s\n{text}").formula == stl.parse("F[5,30] F[0,2] (x > 0.001)")
+
+
+def test_a_unit_of_time_is_so_many_of_a_smaller_one():
+    thousands = [("us", "ns"), ("µs", "ns"), ("μs", "ns"), ("ms", "us"), ("s", "ms")]
+    for n, pairs in ((1000, thousands), (60, [("min", "s"), ("h", "min")])):
+        for unit, smaller in pairs:
+            assert stl.parse(f"F[0,1{unit}] A", step=f"1{smaller}") == stl.parse(f"F[0,{n}] A"), unit
+    assert stl.parse_task("step = 1s\nr := A").step == Duration(Fraction(1))
 
 
 def test_steps_are_a_time():
