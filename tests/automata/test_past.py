@@ -106,32 +106,30 @@ PATTERNS = [
 ]
 
 
-@pytest.mark.parametrize("text", PATTERNS)
-def test_patterns_on_every_trace(text):
+def right_on_every_trace(text):
     phi = stl.parse(text)
     everything = every_trace(stl.horizon(phi) + 1)
     expected = stl.monitor(phi, everything, semantics="boolean").verdicts[:, 0]
-    assert (judge_all(stl.compile_automaton(phi), everything) == expected).all()
+    return (judge_all(stl.compile_automaton(phi), everything) == expected).all()
+
+
+@pytest.mark.parametrize("text", PATTERNS)
+def test_patterns_on_every_trace(text):
+    assert right_on_every_trace(text)
 
 
 def test_only_windows_of_once_add_up():
-    for text in (
-        "F[2,3] once[0,1] (b since[0,1] a)",
-        "G[2,3] historically[0,1] (b since[1,1] a)",
-        "F[2,3] prev (b since a)",
-    ):
-        phi = stl.parse(text)
-        everything = every_trace(stl.horizon(phi) + 1)
-        expected = stl.monitor(phi, everything, semantics="boolean").verdicts[:, 0]
-        assert (judge_all(stl.compile_automaton(phi), everything) == expected).all()
+    assert right_on_every_trace("F[2,3] once[0,1] (b since[0,1] a)")
+    assert right_on_every_trace("G[2,3] historically[0,1] (b since[1,1] a)")
+    assert right_on_every_trace("F[2,3] prev (b since a)")
     for text, same in (("once[1,2] once[0,1] a", "once[1,3] a"), ("once[1,2] once a", "once[1,inf] a")):
         left, right = (stl.compile_automaton(stl.parse(f"F[2,9] {past}", unbounded=True)) for past in (text, same))
         assert (left.n_states, left.delta.tolist()) == (right.n_states, right.delta.tolist())
 
 
-@pytest.mark.parametrize(
-    ("text", "states"),
-    [
+def test_sizes():
+    """One more than the states of the window, for a failure: counts of minimal Mealy machines, found by search."""
+    for text, states in [
         ("G[0,50] (a -> once[0,5] b)", 7),
         ("G[0,50] once[0,5] F[0,3] a", 10),
         ("G[0,60] ((F[0,3] a) since[0,4] b)", 24),
@@ -144,11 +142,8 @@ def test_only_windows_of_once_add_up():
         *((f"G[0,90] (b -> once[3,{n + 2}] a)", n + 8) for n in (2, 4, 9)),
         *((f"G[0,90] (b -> once[{n},{n}] a)", 2**n + 1) for n in (1, 4, 7)),
         *((f"G[0,90] (historically[0,{n}] once[0,{n}] a | b)", k + 1) for n, k in ((1, 3), (2, 5), (3, 8), (4, 12))),
-    ],
-)
-def test_sizes(text, states):
-    """One more than the states of the window, for a failure: counts of minimal Mealy machines, found by search."""
-    assert stl.compile_automaton(stl.parse(text)).n_states == states
+    ]:
+        assert stl.compile_automaton(stl.parse(text)).n_states == states, text
 
 
 def test_what_must_remember_too_much_is_refused_with_the_count():

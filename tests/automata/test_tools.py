@@ -69,7 +69,8 @@ def test_the_history_encodings_size_is_predicted(phi):
         automaton = stl.compile_automaton(phi, "history", memory_limit=3_000_000)
     except SizeError:
         return
-    assert automaton.n_states == history_states(phi, len(automaton.valuations))
+    n, steps = automaton.n_letters, automaton.parts[0].delay + 1
+    assert automaton.n_states == history_states(phi, n) == sum(n**length for length in range(steps + 1))
     assert len(automaton.state_names) == automaton.n_states
 
 
