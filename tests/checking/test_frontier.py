@@ -87,6 +87,18 @@ def test_a_bound_inside_the_enclosure_is_decided_exactly():
         assert (found.steps[0].tightest, found.undecided) == (tightest, ())
 
 
+def test_a_name_alone_stands_for_the_values_around_its_own_that_are_allowed():
+    model = stl.MDP.from_arrays([[["2/3", "1/3"], [0, 1]]], {"x": [0, 1]}, labels={"up": [0, 1]})
+    task = stl.parse_task("param T = 4\nparam c = 1/2\nparam n = -30\nr := G[T,5] (up | x > c | x < n)")
+    for name, wanted in (
+        ("T", [*range(1, 6)]),  # not 6 … 8: the window would be empty
+        ("c", [Fraction(k, 20) for k in range(21)]),
+        ("n", [*range(-59, 0, 2), -30]),
+    ):
+        found = stl.frontier(model, task, 0.5, [name])
+        assert [*found.params[0].values] == sorted(wanted)
+
+
 def test_what_cannot_be_decided_is_said():
     """Rows that do not sum to 1 have no exact fraction."""
     model = stl.MDP.from_arrays([[[0.1, 0.9 - 1e-12], [0, 1]]], {}, labels={"up": [0, 1]})

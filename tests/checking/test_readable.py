@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 import stltool as stl
 from stltool.automata import UNDECIDED
-from stltool.checking.readable import Node, Question, _Situations, _together
+from stltool.checking.readable import Node, Question, _Situations, _together, _Tree
 from stltool.errors import PolicyError, SettingsError, SizeError
 from stltool.reporting.figures import leaves_curve
 from stltool.reporting.trees import tree_data
@@ -152,6 +152,16 @@ def test_a_task_that_the_first_state_decides(floor5):
     product = stl.build_product(floor5, stl.parse("!A"))
     tree = stl.policy_tree(product)
     assert (tree.check.probability, tree.leaves) == (1, 1)
+
+
+@pytest.mark.parametrize(("actions", "leaves"), [("abcd", 4), ("abab", 2), ("aabc", 3), ("aaaa", 1), ("abba", 4)])
+def test_equal_parts_of_a_tree_are_counted_once(actions, leaves):
+    """Of two questions below the first, which ask the same."""
+    nothing = np.empty(0, np.int64)
+    left, right = np.array([1, 3, 5, -1, -1, -1, -1]), np.array([2, 4, 6, -1, -1, -1, -1])
+    action = np.array([0, 0, 0, *map(ord, actions)])
+    tree = _Tree(left, right, np.zeros(7, np.int64), np.zeros(7), action, nothing, nothing, 0.5)
+    assert tree.leaves == leaves
 
 
 def test_a_question_that_makes_no_difference_is_not_asked():

@@ -146,6 +146,8 @@ def test_what_an_online_monitor_refuses():
         stl.OnlineMonitor(Eventually(Interval(0, None), stl.parse("a")))
     with pytest.raises(SettingsError, match="end is 'error'; choose cut or hold"):
         stl.OnlineMonitor(stl.parse("a")).finish("error")
+    with pytest.raises(TraceError, match="the signals of feed's block differ in shape"):
+        stl.OnlineMonitor(stl.parse("once (x > y)")).feed({"x": [1.0], "y": 1.0})
 
 
 def test_a_task_and_a_formula_that_looks_at_one_sample():
@@ -954,6 +956,32 @@ def test_what_reads_samples_before_the_trace_is_false(text, x, wait):
     assert [one.verdict for one in sorted(found)] == known.verdicts.tolist()
     for t in range(len(x) - online.horizon):
         assert known.verdicts[t] == stl.satisfies(phi, trace, t)
+
+
+def test_room_that_grows_or_is_made_at_once_has_what_was_read():
+    """Arrays begin with room for 1024 samples."""
+    online = stl.OnlineMonitor(stl.parse("F[0,2000] 1 / (x - x[t-1]) > 2"))  # at step 0, x - 0 is 0
+    for t in range(1100):
+        assert [*online.feed({"x": float(t)})] == []
+    assert [*online.feed({"x": 1099.25})] == [(t, True, None) for t in range(1101)]
+    trace = {"x": np.where(np.arange(4500) % 1499 == 7, 1.0, -1.0)}
+    online = stl.OnlineMonitor(stl.parse("F[0,1030] x > 0"), wait=True)  # at least four horizons: judged as a whole
+    assert online.feed(trace).verdicts.tolist() == stl.monitor(online.formula, trace).verdicts.tolist()
+    assert online.finish("hold") == online.finish("hold") != []
+
+
+@pytest.mark.parametrize(("horizon", "back"), [(62, 1), (63, 1), (63, 2), (64, 1)])
+def test_sets_of_steps_have_room_for_what_lies_before_and_ahead(horizon, back):
+    """They are bits of words of 64; more than 12 labels are too many for an automaton."""
+    rng, names = np.random.default_rng(0), [f"p{i}" for i in range(13)]
+    phi = stl.parse(f"G[0,{horizon}] ({' | '.join(names)} | historically[0,{back}] x > 0)")
+    trace = {name: rng.random(300) < 0.2 for name in names} | {"x": rng.random(300) - 0.1}
+    online, wanted = stl.OnlineMonitor(phi), stl.monitor(phi, trace).verdicts
+    told = [one for t in range(0, 200, 50) for one in online.feed({name: x[t : t + 50] for name, x in trace.items()})]
+    assert online.early.engine == "structure"
+    assert [one.verdict for one in told] == [wanted[one.step] for one in told]
+    assert {one.step for one in told} >= {*range(200 - horizon)}
+    assert 0 < wanted.sum() < len(wanted)
 
 
 def test_the_end_of_a_trace_asks_only_for_values_it_depends_on():

@@ -190,6 +190,14 @@ def test_rounding_is_covered():
         assert (soft.upper - soft.lower <= 1e-11 * np.abs(x).max() ** 2).all()
 
 
+def test_since_at_once_waits_for_its_right_operand_only():
+    trace = {name: np.arange(9) % k < 2 for name, k in (("a", 3), ("b", 4))}
+    for text in ("(F[0,5] a) since[0,0] b", "(F[0,2] a) since[0,1] b", "(F[0,2] a) since[1,3] b"):
+        for end in ("error", "cut", "hold"):
+            found = stl.smooth_robustness(stl.parse(text), trace, 1.0, end)
+            assert found.values.tolist() == stl.monitor(stl.parse(text), trace, end).robustness.tolist()
+
+
 def test_no_steps():
     for end in ("cut", "hold"):
         assert stl.smooth_robustness(stl.parse("F[0,1] (x > 0)"), {"x": [[], []]}, 1.0, end).upper.shape == (2, 0)

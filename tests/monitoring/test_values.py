@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 import stltool as stl
 from stltool.errors import FragmentError, SizeError
+from stltool.logic.formula import Comparison, Number, Variable
 from stltool.monitoring.values import by_values
 from tests.logic.test_shifts import READS
 
@@ -63,6 +64,11 @@ def test_probabilities_are_those_of_the_paths(text):
     assert product.horizon == stl.horizon(phi)
     assert all("3 values of x" in note for note in product.notes)
     assert len(product.notes) > 0
+
+
+def test_a_comparison_of_one_earlier_step_that_no_value_satisfies_is_false():
+    rewritten, _ = by_values(Comparison(">", Variable("x", 1), Number(2.0)), {"x": np.array([0.0, 1.0])})
+    assert [stl.satisfies(rewritten, {"x": [0.0, 1.0, 1.0]}, t) for t in range(3)] == [False] * 3
 
 
 def test_too_many_values_are_refused_with_their_number():

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import stltool as stl
-from stltool.errors import NameLookupError, SettingsError, TraceError, UnusedTimeWarning
+from stltool.errors import NameLookupError, SettingsError, SizeError, TraceError, UnusedTimeWarning
 from tests.monitoring.logs.test_formats import npz, parquet, plain
 
 
@@ -199,6 +199,9 @@ def test_tables_with_dates(tmp_path):
             stl.load_trace(path, ["x"], step="0.25s")
         assert stl.load_trace(path, ["x"], step="0.25s", resample="linear")["x"].tolist() == [1, 2, 3, 4, 5]
     assert list(stl.load_trace(path, time="none")) == ["x"]  # dates are no signals
+    for times, row in (([0.0, np.nan, 1.0], 2), ([np.inf, 0.0, np.nan], 1)):
+        with pytest.raises(TraceError, match=rf"row {row}, column t: (nan|inf) is not a time; every row needs one"):
+            stl.load_trace(parquet(tmp_path / "n.parquet", x=[1.0, 2, 3], t=times), ["x"], step="1s")
     gaps = parquet(tmp_path / "g.parquet", x=[1.0, 2], timestamp=pa.array([start, None], pa.timestamp("us")))
     with pytest.raises(TraceError, match="row 2, column timestamp: no time; every row needs one"):
         stl.load_trace(gaps, ["x"], step="1s")
@@ -220,6 +223,11 @@ def test_batches(tmp_path):
         stl.load_trace(npz(tmp_path / "s.npz", x=x[0], t=0.0), ["x"], step="1s")
     with pytest.raises(TraceError, match="array t, step 1: nan is not a time"):
         stl.load_trace(npz(tmp_path / "n.npz", x=x, t=[0, np.nan, 1]), ["x"], step="1s")
+
+
+def test_a_grid_that_would_not_fit_is_refused_before_it_is_made(log):
+    with pytest.raises(SizeError, match=r"log.csv on steps of 0.000001s would take .*of memory"):
+        stl.load_trace(log(t=[0, 10**10], x=[1, 2]), ["x"], step="1us", resample="hold")
 
 
 def test_how_many_rows_are_off_the_grid_is_told(log):

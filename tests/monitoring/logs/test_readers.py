@@ -77,6 +77,18 @@ def test_traces_recorded_together_may_share_their_times(tmp_path, monkeypatch):
     assert stl.load_trace(tmp_path / "t.log", step="1s")["x"].tolist() == [[0, 1, 2], [3, 4, 5]]
 
 
+def test_lines_end_with_the_first_signal_of_numbers(tmp_path, monkeypatch):
+    """What is true or false stays as it was, as the last of a number does not."""
+    times = {"x": [0.0, 2.0], "door": [0.0, 1.0], "y": [0.0, 3.0]}
+    own = stl.Recording({"x": [0.0, 4.0], "door": [False, True], "y": [0.0, 3.0]}, times=times)
+    monkeypatch.setitem(stl.trace_readers, ".log", lambda path, names, time: own)
+    (tmp_path / "t.log").touch()
+    found = stl.load_trace(tmp_path / "t.log", step="1s", resample="linear")
+    assert {name: values.tolist() for name, values in found.items()} == {
+        "x": [0, 2, 4], "door": [False, True, True], "y": [0, 1, 2]
+    }  # fmt: skip
+
+
 def test_what_can_be_given():
     for extension, reader in ((".csv", len), ("log", len), (3, len), (".log", "text")):
         with pytest.raises(FileError):
@@ -113,6 +125,7 @@ def test_mcap(stltool, drive):  # noqa: F811
     assert found["/odometry.speed"].tolist() == [i / 10 for i in range(11)]
     assert found["/odometry.pose.at.1"].tolist() == [-i for i in range(11)]
     assert found["/odometry.ok"].tolist() == [i < 5 for i in range(11)]
+    assert {*stl.trace_readers[".mcap"](drive, names, None).signals} == {*names}  # no others are kept
     assert stl.load_trace(drive, names, step="0.1s", time="publish_time")["/odometry.speed"][10] == 1
     both = [*names, "/door.open"]
     with pytest.raises(TraceError, match="/door.open were not recorded together; put them on the step's"):
