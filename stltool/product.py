@@ -33,6 +33,7 @@ from stltool.logic.formula import (
     Formula,
     Label,
     bounded_formula_of,
+    formula_of,
     label_names,
     variables,
 )
@@ -357,6 +358,8 @@ def build_joint_product(
     named: list[tuple[str, Formula | Task]]
     if isinstance(tasks, Mapping):
         named = list(mapping(tasks, "build_joint_product's tasks", "{'patrol': formula}").items())
+        for name, task in named:
+            formula_of(task, f"build_joint_product's task {name}")
     else:
         require(tasks, (list, tuple), "build_joint_product's tasks", "give a list of tasks, or {name: formula}")
         for task in tasks:

@@ -387,7 +387,7 @@ def possible_successors(model: MDP, given: Successors) -> Whole:
         dense = given.toarray() if hasattr(given, "toarray") else np.asarray(given)
         if dense.shape != (M, S) or dense.dtype.kind not in "bui" or not np.isin(dense, (0, 1)).all():
             raise SettingsError(
-                f"guarantee's successors are of shape {dense.shape}; give ({M}, {S}) Booleans (choices, states), or a "
+                f"successors are of shape {dense.shape}; give ({M}, {S}) Booleans (choices, states), or a "
                 "function of a state and an action"
             )
         codes = np.flatnonzero(dense.ravel())

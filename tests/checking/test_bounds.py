@@ -31,6 +31,13 @@ def test_chains_of_dot_products_stay_inside(rows, end):
     assert Fraction(lower) <= exact <= Fraction(upper)
 
 
+@pytest.mark.parametrize("n", [1, 2, 3, 1000])
+def test_roundings_that_all_go_one_way_are_covered(n):
+    u = Fraction(1, 2**53)
+    lower, upper = bounds.around(0.5, n, underflow=False)
+    assert lower * (1 + u) ** n <= Fraction(1, 2) <= upper * (1 - u) ** n  # the exact value, rounded n times
+
+
 @given(st.floats(0, 1), st.integers(1, 10**6))
 def test_bounds_surround_the_value_and_grow(value, n):
     lower, upper = enclose(value, n)

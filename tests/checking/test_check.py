@@ -289,6 +289,9 @@ def test_what_the_graph_decides_is_certain(floor5, floor10):
         assert not likely.certain
         never = stl.check(stl.build_product(model, stl.parse("F[0,30] C")), maximize=False)
         assert (never.certain, never.probability) == (True, 0)
+        found = [result.certainty for result in (unreachable, standing, likely, never)]
+        assert found[:2] == ["no policy can satisfy it", "some policy satisfies it surely"]
+        assert found[2:] == [None, "some policy surely does not satisfy it"]
     thirds = stl.MDP.from_arrays([[[1 / 3, 1 / 3, 1 / 3], [0, 1, 0], [0, 0, 1]]], {}, labels={"a": [0, 1, 1]})
     surely = stl.check(stl.build_product(thirds, stl.parse("G[1,1] a -> G[2,3] a")))
     assert (surely.certain, surely.lower, surely.upper) == (True, 1, 1)

@@ -188,6 +188,13 @@ def test_rows_that_do_not_sum_to_one_widen_the_enclosure(excess):
         assert figure.upper - figure.lower == pytest.approx(2 * 3 * most * abs(excess), rel=0.01)
 
 
+def test_a_probability_below_all_doubles_is_enclosed():
+    model = stl.MDP.from_arrays([[[0.5, 0.5], [0, 1]]], {}, labels={"a": [1, 0]})
+    joint = stl.build_joint_product(model, {"A": stl.parse("G[0,1100] a"), "B": stl.parse("F[0,1] a")})
+    rare, _ = best(Criteria(joint), (1, 0))[1]
+    assert rare.lower <= Fraction(1, 2**1100) <= rare.upper < 1e-300
+
+
 # --------------------------------------------------------------------------------------------------- the programme
 
 

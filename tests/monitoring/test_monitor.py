@@ -277,6 +277,8 @@ def test_one_step_is_judged_whatever_has_no_value_at_others():
         for end in ("error", "cut", "hold"):
             found = stl.monitor(phi, trace, end, at=at)
             assert (found.verdicts[0], found.robustness[0]) == (True, 1.0)
+            with pytest.raises(TraceError, match="the traces have 8 samples; at step 8 this formula needs"):
+                stl.monitor(phi, trace, end, at=8)
 
 
 def test_margins_beyond_the_doubles():

@@ -44,6 +44,7 @@ def load(request, tmp_path, monkeypatch):
         "x,door,\n1,true,\n-2.5,false,\n",
         "x,door\n1,true,\n-2.5,false,\n",
         "x,door,,\n1,true,,\n-2.5,false,,\n",
+        "x,door,,\n1,true\n-2.5,false,\n",
         "x,door,note,note\n1,true,a,b\n-2.5,false,c,d\n",
         "x,,door\n1,a,true\n-2.5,b,false\n",
         'x,note,door\n1,"a, ""b"" c",true\n-2.5,"",false\n',

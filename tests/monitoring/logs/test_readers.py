@@ -89,6 +89,14 @@ def test_lines_end_with_the_first_signal_of_numbers(tmp_path, monkeypatch):
     }  # fmt: skip
 
 
+def test_a_signal_of_a_single_sample_is_held(tmp_path, monkeypatch):
+    own = stl.Recording({"x": [0.0, 4.0], "door": [True]}, times={"x": [0.0, 2.0], "door": [0.0]})
+    monkeypatch.setitem(stl.trace_readers, ".log", lambda path, names, time: own)
+    (tmp_path / "t.log").touch()
+    found = stl.load_trace(tmp_path / "t.log", step="1s", resample="hold")
+    assert {name: values.tolist() for name, values in found.items()} == {"x": [0, 0, 4], "door": [True] * 3}
+
+
 def test_what_can_be_given():
     for extension, reader in ((".csv", len), ("log", len), (3, len), (".log", "text")):
         with pytest.raises(FileError):
