@@ -8,7 +8,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 import stltool as stl
-from stltool.checking.averages import Game, exact_average, greatest_average
+from stltool.checking.averages import Game, _steps, exact_average, greatest_average
 from stltool.checking.long_run import QUESTIONS, Forever
 from stltool.errors import ModelError, PolicyError, SettingsError, SizeError
 from stltool.models import save_model
@@ -180,6 +180,19 @@ def test_rows_of_doubles_that_miss_1_widen_the_enclosure():
     assert 1e-10 < found.upper - found.lower < 1e-7
     with pytest.raises(ModelError, match="so there is no exact answer"):
         stl.long_run(product, exact=True)
+
+
+def test_steps_to_the_end_are_at_least_what_they_are_made_of():
+    """y >= 1 + A y, in fractions, whatever gets what rows may lack."""
+    from scipy.sparse import csr_array
+
+    rows = np.array([[0.1, 0.3, 0.2], [0.7, 0.1, 0.0], [0.0, 1 / 3, 0.6], [0.2, 0.2, 0.3]])
+    game = Game(csr_array(rows), np.array([0, 2, 3, 4]), 3, 1e-9)
+    found = _steps(game, np.array([0, 2, 3]))
+    exact = [Fraction(value) for value in found.tolist()]
+    for row, owner in zip(rows.tolist(), game.owner.tolist(), strict=True):
+        most = sum(Fraction(p) * y for p, y in zip(row, exact, strict=True)) + Fraction(game.defect) * max(exact)
+        assert exact[owner] >= 1 + most
 
 
 def test_averages_of_a_slow_and_periodic_component():

@@ -29,6 +29,16 @@ class Stop(Exception):
     """Instead of a kill."""
 
 
+class Asks:
+    """Its pickle makes a folder when it is read."""
+
+    def __init__(self, folder):
+        self.folder = folder
+
+    def __reduce__(self):
+        return os.mkdir, (str(self.folder),)
+
+
 def stop_after(monkeypatch, n):
     """The process ends after so many steps back."""
     passed, seen = recording.OnDisk.passed, []
@@ -319,6 +329,9 @@ def test_damaged_states_are_refused(product, tmp_path, monkeypatch):
             resumed({key: array for key, array in arrays.items() if key != name})
         with pytest.raises(FileError, match="delete it to start again"):
             resumed({**arrays, name: arrays[name].astype(np.float32)})
+    with pytest.raises(FileError, match="delete it to start again"):  # what a pickle asks for is not done
+        resumed({**arrays, "more": np.array([Asks(tmp_path / "done")], dtype=object)})
+    assert not (tmp_path / "done").exists()
     state.write_bytes(b"nothing of the kind")
     with pytest.raises(FileError, match="delete it to start again"):
         stl.check(product, engine="words", policy_file=path, resume=True)

@@ -984,6 +984,17 @@ def test_sets_of_steps_have_room_for_what_lies_before_and_ahead(horizon, back):
     assert 0 < wanted.sum() < len(wanted)
 
 
+@pytest.mark.parametrize("more", ["", " | once z > 9"])  # which looks back without a limit
+def test_a_since_forgets_what_lies_before_its_window_sample_by_sample(more):
+    rng = np.random.default_rng(0)
+    trace = {"x": rng.random(80) - 0.1, "y": rng.random(80) - 0.6, "z": np.zeros(80)}
+    for a, b in ((0, 1), (0, 4), (1, 3), (2, 2), (2, 6), (5, 9), (8, 8)):
+        phi = stl.parse(f"(x > 0 since[{a},{b}] y > 0){more}")
+        online = stl.OnlineMonitor(phi, wait=True)
+        told = [one for t in range(80) for one in online.feed({name: values[t] for name, values in trace.items()})]
+        assert [one.robustness for one in told] == stl.monitor(phi, trace).robustness.tolist()
+
+
 def test_the_end_of_a_trace_asks_only_for_values_it_depends_on():
     online = stl.OnlineMonitor(stl.parse("(1 / (x - x[t-1]) > 0) since G[2,3] (sqrt(x[t-1]) > 1)"), wait=True)
     trace = {"x": [4.0, 3.0, 2.0, 1.0]}

@@ -9,6 +9,7 @@ from hypothesis.stateful import rule
 import stltool as stl
 from stltool.errors import StlToolError
 from stltool.logic.formula import Constant, children, with_children
+from stltool.monitoring.coverage import idle_premises
 from stltool.testing import (
     Coverage,
     CoverageGap,
@@ -150,6 +151,12 @@ def test_assertions_recorders_and_machines_are_counted():
     assert counted == {
         str(ANSWERS): (2, 1), "F[0,9] (x > 3)": (1, 1), "G[0,9] (x < 3)": (1, 0), "G[0,inf) (a -> (F[0,1] b))": (1, 1),
     }  # fmt: skip
+
+
+@pytest.mark.parametrize("at", range(3))
+def test_a_premise_that_holds_at_one_step_is_not_idle(at):
+    phi = stl.parse("G[0,1] (a -> F[1,1] b)")
+    assert idle_premises(phi, {"a": [t == at for t in range(3)], "b": [True] * 3}) == (["a"] if at == 2 else [])
 
 
 def test_counts_of_several_processes_are_added():

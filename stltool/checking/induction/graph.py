@@ -138,7 +138,7 @@ class Game:
         return games[everywhere]
 
     @classmethod
-    def of_joint(cls, joint: JointProduct, paying: bool = False) -> Game:
+    def of_joint(cls, joint: JointProduct, paying: bool) -> Game:
         """The game of a joint product, its states numbered by layer; with `paying`, every run continues to the
         horizon."""
         model = joint.model
