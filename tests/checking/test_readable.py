@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 import stltool as stl
 from stltool.automata import UNDECIDED
-from stltool.checking.readable import Node, Question, _Situations, _together, _Tree
+from stltool.checking.readable import Node, Question, _Features, _Situations, _together, _Tree
 from stltool.errors import PolicyError, SettingsError, SizeError
 from stltool.reporting.figures import leaves_curve
 from stltool.reporting.trees import tree_data
@@ -162,6 +162,13 @@ def test_equal_parts_of_a_tree_are_counted_once(actions, leaves):
     action = np.array([0, 0, 0, *map(ord, actions)])
     tree = _Tree(left, right, np.zeros(7, np.int64), np.zeros(7), action, nothing, nothing, 0.5)
     assert tree.leaves == leaves
+
+
+def test_a_tree_may_ask_for_signals_labels_and_what_the_memory_counts():
+    model = stl.MDP.from_arrays([[[0.5, 0.5], [0.5, 0.5]]], {"x": [0, 1]}, labels={"a": [0, 1], "b": [1, 0]})
+    for text, counts in (("G[0,3] (F[0,2] a & F[0,2] b)", ["[a]", "[b]", "[a] - [b]"]), ("F[0,3] a", ["[F[0,3] a]"])):
+        asked = _Features(stl.build_product(model, stl.parse(text)))
+        assert asked.names == ["x", "a", "b", *counts, "steps_left"]
 
 
 def test_a_question_that_makes_no_difference_is_not_asked():
