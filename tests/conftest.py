@@ -35,10 +35,10 @@ def soaked(n: int) -> int:
     return max(8, math.ceil(n * (MORE / 30) ** 2))
 
 
-def some(cases: Iterable[T]) -> list[T]:
-    """Of cases that are much alike, many(as there are): all of them in `make soak`, and in CI's share of it."""
+def some(cases: Iterable[T], share: float = 1.0) -> list[T]:
+    """Of cases that are much alike, many(as there are): all of them in `make soak`, and this share in CI's."""
     cases = list(cases)
-    drawn = random.Random(0).sample(range(len(cases)), min(len(cases), many(len(cases))))
+    drawn = random.Random(0).sample(range(len(cases)), min(len(cases), many(round(share * len(cases)))))
     return [cases[i] for i in sorted(drawn)]
 
 

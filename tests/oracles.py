@@ -410,6 +410,16 @@ def best_mixture(points, floor: Fraction) -> Fraction | None:
     return max(values, default=None)
 
 
+def undominated(points) -> list[tuple[Fraction, Fraction]]:
+    """Those which no other one is as good as in both: the only ones that matter in mixtures."""
+    found, most = [], None
+    for x, y in sorted(points, reverse=True):
+        if most is None or y > most:
+            found.append((x, y))
+            most = y
+    return found
+
+
 def extremum(phi, atom, n: int, end: str, steps) -> list[float]:
     """A formula over a lattice of numbers at some steps of n: `atom` gives the value of a predicate at a step.
 

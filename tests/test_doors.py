@@ -5,6 +5,7 @@ Every parameter of every door is given one thing of every kind. Either the kind 
 valid call in `CALLS` fails.
 """
 
+import functools
 import inspect
 import math
 import re
@@ -35,6 +36,7 @@ INNER = {
 }  # fmt: skip
 
 
+@functools.cache
 def doors():
     """name → callable: functions, constructors, class methods and methods with a parameter."""
     found = {}

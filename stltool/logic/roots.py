@@ -201,7 +201,7 @@ def _divided(p: Polynomial, q: Polynomial) -> tuple[Polynomial, Polynomial]:
 def _common(p: Polynomial, q: Polynomial) -> Polynomial:
     """The greatest common divisor."""
     while q:
-        p, q = q, _divided(p, q)[1]
+        p, q = q, _primitive(_divided(p, q)[1])
     return tuple(a / p[-1] for a in p)
 
 
@@ -211,18 +211,23 @@ def _derivative(p: Polynomial) -> Polynomial:
 
 def _without_repetitions(p: Polynomial) -> Polynomial:
     """The polynomial with the same roots, each once, and integers without a common factor for coefficients."""
-    if len(p) > 1:
-        p = _divided(p, _common(p, _derivative(p)))[0]
+    return _primitive(_divided(p, _common(p, _derivative(p)))[0] if len(p) > 1 else p)
+
+
+def _primitive(p: Polynomial) -> Polynomial:
+    """The positive multiple whose coefficients are integers without a common factor: they grow least in remainders."""
     scale = math.lcm(*(a.denominator for a in p))
     whole = [int(a * scale) for a in p]
     return tuple(Fraction(n // math.gcd(*whole)) for n in whole)
 
 
-def _at(p: Polynomial, x: Fraction) -> Fraction:
-    value = Fraction(0)
+def _sign(p: Polynomial, x: Fraction) -> int:
+    """The sign of a polynomial with integer coefficients, computed in integers."""
+    value, power = 0, 1
     for a in reversed(p):
-        value = value * x + a
-    return value
+        value = value * x.numerator + a.numerator * power
+        power *= x.denominator
+    return (value > 0) - (value < 0)
 
 
 # ------------------------------------------------------------------------------------------------------- roots
@@ -254,26 +259,37 @@ def _isolated(p: Polynomial) -> list[tuple[Fraction, Fraction]]:
         return []
     chain = [p, _derivative(p)]
     while len(chain[-1]) > 1:
-        chain.append(tuple(-a for a in _divided(chain[-2], chain[-1])[1]))
+        chain.append(_primitive(tuple(-a for a in _divided(chain[-2], chain[-1])[1])))
 
     def changes(x: Fraction) -> int:
-        signs = [value > 0 for value in (_at(q, x) for q in chain) if value]
+        signs = [sign for sign in (_sign(q, x) for q in chain) if sign]
         return sum(a != b for a, b in itertools.pairwise(signs))
 
     leading = abs(p[-1])
     bound = Fraction(1 << (1 + math.ceil(max(abs(a) / leading for a in p[:-1]))).bit_length())  # Cauchy's
-    narrow = min(1 / (2 * leading), Fraction(1, 1 << 24))
     waiting = [(-bound, bound, changes(-bound), changes(bound))]
     found: list[tuple[Fraction, Fraction]] = []
     while waiting:
         low, high, before, after = waiting.pop()
-        if before == after:
-            continue
-        if before - after > 1 or high - low > narrow:
+        if before - after > 1:
             middle = (low + high) / 2
             at = changes(middle)
             waiting += [(middle, high, at, after), (low, middle, before, at)]
-            continue
-        rational = math.floor(high * leading) / leading  # the only one with this denominator
-        found.append((rational, rational) if rational > low and not _at(p, rational) else (low, high))
+        elif before - after == 1:
+            found.append(_narrowed(p, low, high))
     return found
+
+
+def _narrowed(p: Polynomial, low: Fraction, high: Fraction) -> tuple[Fraction, Fraction]:
+    """An interval as short as `_isolated` has it about the only root in (low, high]; both ends if it is rational."""
+    leading, above = abs(p[-1]), _sign(p, high)
+    narrow = min(1 / (2 * leading), Fraction(1, 1 << 24))
+    while above and high - low > narrow:
+        middle = (low + high) / 2
+        sign = _sign(p, middle)
+        if sign == -above:
+            low = middle
+        else:
+            high, above = middle, sign
+    rational = math.floor(high * leading) / leading  # the only one with this denominator
+    return (rational, rational) if rational > low and not _sign(p, rational) else (low, high)

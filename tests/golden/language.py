@@ -31,14 +31,14 @@ FILES = [
 
 
 def entries():
-    for text, *_ in rows(test_parser.test_a_syntax_error_says_where_what_and_what_to_write):
+    for text, *_ in test_parser.REFUSED:
         yield given("formula", text), refusal(stl.parse, text)
     for text in ("!" * 5000 + "a", "   ", "# a comment alone", "a & " * 600_000, "always a", "a until b", "F(2,inf] a"):
         yield given("formula", text), refusal(stl.parse, text)
     for text, params in (("G[0,5] (x > y)", {"G": 3}), ("F[0,5] a", {"Q": 3})):
         yield given(f"formula with {params}", text), refusal(stl.parse, text, params)
-    for table in (test_parser.test_a_task_file_with_a_slip_is_refused, test_language.test_a_refusal_says_what_to_write):
-        for text, *_ in rows(table):
+    for table in (rows(test_parser.test_a_task_file_with_a_slip_is_refused), test_language.REFUSED):
+        for text, *_ in table:
             yield given("task file", text), refusal(stl.parse_task, text)
     for line, *_ in rows(test_expectation.test_a_slip_is_refused_with_its_place_and_a_remedy):
         yield given("expectation", line), refusal(stl.parse_task, f"r := a\n{line}")

@@ -155,3 +155,16 @@ def test_no_value_of_one_signal_has_another_truth(texts, data):
         value = data.draw(st.integers(-400, 400)) / 100
         with contextlib.suppress(TraceError):
             assert tuple(stl.satisfies(leaf, {"x": np.array([value])}) for leaf in read) in rows
+
+
+def test_numbers_of_a_hundred_digits_in_polynomials():
+    """Minutes, if remainders were not kept small and every interval were narrowed by the whole chain."""
+    read = leaves(stl.parse("1e99 * x > sqrt(2 - x) & max(x*x, 1 - x) > sqrt(2 - x) & x*x > 0"))
+    rows = truths_of_one_signal(read, "x")
+    judged = {
+        x: tuple(stl.satisfies(leaf, {"x": np.array([x])}) for leaf in read) for x in (-2, 0, 1e-99, 2e-99, 0.5, 2)
+    }
+    assert set(judged.values()) == {
+        (False, True, True), (False, False, False), (False, False, True), (True, False, True), (True, True, True)
+    }  # fmt: skip
+    assert rows == judged
