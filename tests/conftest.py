@@ -23,6 +23,7 @@ from tests import slow
 T = TypeVar("T")
 
 MORE = float(os.environ.get("STLTOOL_MORE", "0.1"))
+WHOLE = 0.4  # from there on, no test and no parameter is left out: CI's share of `make soak`
 
 
 def many(n: int) -> int:
@@ -35,10 +36,10 @@ def soaked(n: int) -> int:
     return max(8, math.ceil(n * (MORE / 30) ** 2))
 
 
-def some(cases: Iterable[T], share: float = 1.0) -> list[T]:
-    """Of cases that are much alike, many(as there are): all of them in `make soak`, and this share in CI's."""
+def some(cases: Iterable[T]) -> list[T]:
+    """Of cases that are much alike, many(as there are): all of them in `make soak`."""
     cases = list(cases)
-    drawn = random.Random(0).sample(range(len(cases)), min(len(cases), many(round(share * len(cases)))))
+    drawn = random.Random(0).sample(range(len(cases)), min(len(cases), many(len(cases))))
     return [cases[i] for i in sorted(drawn)]
 
 
@@ -71,7 +72,7 @@ def pytest_collection_modifyitems(config, items):
     for item in items:
         if slow.of_all_parameters(item.nodeid) in beyond:
             item.add_marker("soak")
-    if MORE < 1 and not any("::" in argument for argument in config.args):
+    if MORE < WHOLE and not any("::" in argument for argument in config.args):
         left_out = {name for names in beyond.values() for name in names} if not slow.measured() else set()
         left_out |= {item.nodeid for item in items if of_soak_alone(item)}
         config.hook.pytest_deselected(items=[item for item in items if item.nodeid in left_out])

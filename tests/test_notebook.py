@@ -61,7 +61,7 @@ CELLS = {
     "Recording": ("stl.Recording({'x': [1, 2]}, times=[0, 0.5], clock='column t')", "Recording of 1 signal"),
     "OnlineMonitor": ("online", "0 samples read"),
     "Decisions": ("stl.OnlineMonitor(stl.parse('x > 0.5')).feed({'x': [0.2, 0.7]})", "2 steps"),
-    "Decision": ("[online.feed({'x': 0.1 * i}) for i in range(3)][-1][0]", "false"),
+    "Decision": ("stl.OnlineMonitor(stl.parse('x > 0.5')).feed({'x': 0.1})[0]", "false"),
     "TaskAutomaton": ("product.automaton", "letters"),
     "MDP": ("model", "3 states, 2 actions"),
     "Product": ("product", "3 model states"),

@@ -33,7 +33,7 @@ def test_of_many_parameters_those_that_fit_are_kept_and_the_rest_is_for_soak(mon
     monkeypatch.delenv(slow._OUT, raising=False)
     monkeypatch.setattr(slow, "listed", lambda: listed)
     few = 20 - len(slow.beyond(cases, listed)["a.py::one"])
-    for more, args, kept in ((0.1, ["tests"], few), (1, ["tests"], 20), (0.1, ["a.py::one"], 20)):
+    for more, args, kept in ((0.1, ["tests"], few), (conftest.WHOLE, ["tests"], 20), (0.1, ["a.py::one"], 20)):
         monkeypatch.setattr(conftest, "MORE", more)
         items = [Mock(nodeid=name, iter_markers=lambda _: []) for name in cases]
         conftest.pytest_collection_modifyitems(Mock(args=args), items)

@@ -9,7 +9,7 @@ import typer.main
 
 import stltool as stl
 from stltool.cli import app
-from tests.conftest import FACTORY, MORE
+from tests.conftest import FACTORY, MORE, WHOLE
 
 COMMANDS = typer.main.get_command(app).commands
 SMALL = ("-p", "T=3", "-p", "tau=8")
@@ -95,7 +95,7 @@ os.dup2(os.open(f"{sys.argv[1]}/end.out", os.O_WRONLY | os.O_CREAT), 1)
 """
 
 
-PRINTED = list(CASES) if MORE >= 1 else ["explain"]
+PRINTED = list(CASES) if MORE >= WHOLE else ["explain"]
 """The commands that print_json runs: all of them take some seconds."""
 
 
