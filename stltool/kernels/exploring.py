@@ -45,6 +45,7 @@ from stltool.kernels.tuples import (
     with_children,
     with_entries,
 )
+from stltool.kernels.words import ONE, ZERO
 
 F64: TypeAlias = NDArray[np.float64]
 I32: TypeAlias = NDArray[np.int32]
@@ -55,7 +56,6 @@ part = functools.partial(jit.part, counts=False)
 PATIENCE = 16  # a belief, and its plan, are held until a choice has been taken by so small a part more often
 NONE, DRAWN, HELD = range(3)  # route.belief[0]
 NO_BELIEF, NO_ROOM = -2, -1  # instead of a choice
-NOTHING, ONE = np.uint64(0), np.uint64(1)
 _LOST = -2  # the choice of a situation where nothing is hoped for
 
 
@@ -197,7 +197,7 @@ def ahead(rules: Any, route: Any, chart: Any, room: Any, t: int, children: int) 
         route.counter[1] += 1
         for k in range(successors):
             s2 = np.int64(chart.successors[begin + k])
-            letter, some = np.int64(rules.letter[s2]), np.uint64(0)
+            letter, some = np.int64(rules.letter[s2]), ZERO
             if room.letter_mark[letter] != route.counter[1]:
                 room.letter_mark[letter] = route.counter[1]
                 for w in range(words):
@@ -211,8 +211,8 @@ def ahead(rules: Any, route: Any, chart: Any, room: Any, t: int, children: int) 
             for w in range(words):
                 some |= bits[letter, w]
                 pending[s2, w] |= bits[letter, w]
-            if some != NOTHING and room.state_mark[s2] != t + 1:
-                room.state_mark[s2], chart.touched[groups] = t + 1, s2
+            if some != ZERO and not room.reached[s2]:
+                room.reached[s2], chart.touched[groups] = True, s2
                 groups += 1
         children += situations * successors
     return int(groups)
@@ -246,11 +246,11 @@ def spread(rules: Any, walked: Any, route: Any, chart: Any, room: Any, since: in
         for g in range(after, groups):
             s2 = np.int64(chart.touched[g])
             letter = np.int64(rules.letter[s2])
-            route.group[t + 1, s2], room.state_mark[s2] = g, 0
+            route.group[t + 1, s2], room.reached[s2] = g, False
             for w in range(pending.shape[1]):
                 left = pending[s2, w]
                 pending[s2, w] = 0
-                while left != NOTHING:
+                while left != ZERO:
                     q2 = 64 * w + np.int64(trailing(left))
                     left &= left - ONE
                     if room.kind_mark[letter, q2] != tick:

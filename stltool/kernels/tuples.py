@@ -190,9 +190,9 @@ class Room(NamedTuple):
     value (2 + situations,), best (kinds,), top (peaks,)
     memo (n,), unseen (letters,)     hope by visits; whether a state of that letter was never seen
     used, where (S,), successors (entries,)   marks of states, and their places; states, sorted
-    number (S · (Q + 2),)              what situations of the next step are worth: 2 + their numbers; 0 and 1
+    number (S · (Q + 2),)            what situations of the next step are worth: 2 + their numbers; 0 and 1
     kind_mark, kind_number (letters, Q), peak_mark, peak_number (Q,)   marks of kinds and peaks, and their numbers
-    state_mark (S,), pending (S, Q / 64)   marks of states of the next step; their memories, as bits
+    reached (S,), pending (S, Q / 64)   whether the next step leads there; with which memories, as bits
     letter_mark (letters,), bits (letters, Q / 64)   marks of letters of a group's successors; where its memories lead
     """
 
@@ -212,7 +212,7 @@ class Room(NamedTuple):
     kind_number: NDArray[np.int32]
     peak_mark: NDArray[np.int64]
     peak_number: NDArray[np.int32]
-    state_mark: NDArray[np.int64]
+    reached: NDArray[np.bool_]
     pending: NDArray[np.uint64]
     letter_mark: NDArray[np.int64]
     bits: NDArray[np.uint64]
@@ -261,7 +261,7 @@ def room_of(h: int, S: int, Q: int, letters: int, blocks: int) -> Room:
         number=np.zeros(S * (Q + 2), dtype=np.int32),
         kind_mark=np.zeros((letters, Q), dtype=np.int64), kind_number=np.zeros((letters, Q), dtype=np.int32),
         peak_mark=np.zeros(Q, dtype=np.int64), peak_number=np.zeros(Q, dtype=np.int32),
-        state_mark=np.zeros(S, dtype=np.int64), pending=np.zeros((S, words), dtype=np.uint64),
+        reached=np.zeros(S, dtype=np.bool_), pending=np.zeros((S, words), dtype=np.uint64),
         letter_mark=np.zeros(letters, dtype=np.int64), bits=np.zeros((letters, words), dtype=np.uint64),
     )  # fmt: skip
 
