@@ -19,17 +19,20 @@ from numpy.typing import NDArray
 
 from stltool.kernels import jit
 from stltool.kernels.lanes import (
+    N,
     add,
     at,
-    first_equal,
+    gather,
     greater,
-    greatest,
     load,
+    mask,
     mul,
+    narrow_where,
     put,
     select,
     splat,
     splat_at,
+    store,
     trailing,
 )
 from stltool.kernels.rollout import inversion
@@ -53,7 +56,7 @@ I64: TypeAlias = NDArray[np.int64]
 
 kernel = functools.partial(jit.kernel, counts=False)
 part = functools.partial(jit.part, counts=False)
-PATIENCE = 16  # a belief, and its plan, are held until a choice has been taken by so small a part more often
+PATIENCE = 4  # a belief, and its plan, are held until a choice has been taken by so small a part more often
 NONE, DRAWN, HELD = range(3)  # route.belief[0]
 NO_BELIEF, NO_ROOM = -2, -1  # instead of a choice
 _LOST = -2  # the choice of a situation where nothing is hoped for
@@ -112,60 +115,44 @@ def count(walked: Any, route: Any, c: Any, s2: Any, weight: float) -> bool:
 
 
 @part
-def columns(rules: Any, walked: Any, chart: Any, room: Any) -> bool:
-    """Lay the rows out in columns; whether each state has the successors that it had before."""
-    same, k, column = bool(chart.stamp[0] >= 0), 0, 0
-    used, where, n_states = room.used, room.where, len(rules.letter)
+def successors(rules: Any, walked: Any, chart: Any, room: Any) -> bool:
+    """List the states that each state's choices lead to; whether they are the same as before."""
+    same, k, used, found = bool(chart.stamp[0] >= 0), 0, room.used, room.successors
     used[:] = -1
-    for s in range(n_states):
-        first, after, begin = rules.first_choice[s], rules.first_choice[s + 1], k
-        for e in range(walked.start[first], walked.start[after]):
+    for s in range(len(rules.letter)):
+        first, after, begin = walked.start[rules.first_choice[s]], walked.start[rules.first_choice[s + 1]], k
+        for e in range(first, after):
             s2 = np.int64(walked.target[e])
             if used[s2] < 0:  # into its place, which is near the end: each choice's are ascending
                 used[s2], i = 0, k
-                while i > begin and room.successors[i - 1] > s2:
-                    room.successors[i] = room.successors[i - 1]
+                while i > begin and found[i - 1] > s2:
+                    found[i] = found[i - 1]
                     i -= 1
-                room.successors[i] = s2
+                found[i] = s2
                 k += 1
         same = same and chart.begin[s] == begin
         chart.begin[s] = begin
         for i in range(begin, k):
-            same = same and chart.successors[i] == room.successors[i]
-            chart.successors[i] = room.successors[i]
-        block = chart.block[s]
-        for c in range(first, after, 16):
-            last = min(c + 16, after)
-            for e in range(walked.start[c], walked.start[last]):
-                used[walked.target[e]] = c + 1
-            chart.column[block] = column
-            block += 1
-            for i in range(begin, k):
-                s2 = np.int64(chart.successors[i])
-                if used[s2] == c + 1:
-                    chart.slot[column], where[s2] = i - begin, column
-                    room.probability[16 * column : 16 * column + 16] = 0.0
-                    column += 1
-            for d in range(c, last):
-                for e in range(walked.start[d], walked.start[d + 1]):
-                    chart.cell[e] = 16 * where[walked.target[e]] + (d - c)
+            same = same and chart.successors[i] == found[i]
+            chart.successors[i], used[found[i]] = found[i], i - begin
+        for e in range(first, after):
+            chart.slot[e] = used[walked.target[e]]
         for i in range(begin, k):
-            used[chart.successors[i]] = -1
-    chart.column[-1] = column
-    same = same and chart.begin[n_states] == k
-    chart.begin[n_states] = k
+            used[found[i]] = -1
+    same = same and chart.begin[-1] == k
+    chart.begin[-1] = k
     return bool(same)
 
 
 @part
-def rows(walked: Any, chart: Any, room: Any, level: float) -> None:
+def rows(walked: Any, room: Any, level: float) -> None:
     """Each choice's chances, with hope at that level (its logarithm)."""
     known = room.memo
     known[:] = -1.0
     for c in range(len(walked.visits)):
-        n, lane = walked.visits[c], chart.lane[c]
+        n = walked.visits[c]
         if n == 0:
-            room.hope[lane], room.fresh[lane] = 0.0, 1.0
+            room.hope[c], room.fresh[c] = 0.0, 1.0
             continue
         if n >= len(known):
             hope = 1.0 - math.exp(level / n)
@@ -176,10 +163,10 @@ def rows(walked: Any, chart: Any, room: Any, level: float) -> None:
         total = 0.0
         for e in range(walked.start[c], walked.start[c + 1]):
             total += walked.weight[e]
-        room.hope[lane], room.fresh[lane] = hope, 0.0
+        room.hope[c], room.fresh[c] = hope, 0.0
         share = (1.0 - hope) / total
         for e in range(walked.start[c], walked.start[c + 1]):
-            room.probability[chart.cell[e]] = walked.weight[e] * share
+            room.chance[e] = walked.weight[e] * share
 
 
 @part
@@ -207,7 +194,7 @@ def ahead(rules: Any, route: Any, chart: Any, room: Any, t: int, children: int) 
                     known = np.int64(verdict[q2])
                     if known < 0:
                         bits[letter, q2 >> 6] |= ONE << np.uint64(q2 & 63)
-                    child[children + i * successors + k] = q2 if known < 0 else memories + known
+                    child[children + k * situations + i] = q2 if known < 0 else memories + known
             for w in range(words):
                 some |= bits[letter, w]
                 pending[s2, w] |= bits[letter, w]
@@ -238,7 +225,7 @@ def spread(rules: Any, walked: Any, route: Any, chart: Any, room: Any, since: in
         for g in range(low, after):
             s = chart.touched[g]
             more += (route.first[g + 1] - route.first[g]) * (chart.begin[s + 1] - chart.begin[s])
-        if more > len(chart.child):
+        if more + N > len(chart.child):  # whole vectors are read
             return False
         groups = ahead(rules, route, chart, room, t, children)
         route.counter[1] += 1
@@ -264,14 +251,15 @@ def spread(rules: Any, walked: Any, route: Any, chart: Any, room: Any, since: in
             chart.layer[t + 2], chart.kinds[t + 2] = groups, kinds
         for g in range(low, after):
             s, begin = chart.touched[g], chart.begin[chart.touched[g]]
-            successors, before = chart.begin[s + 1] - begin, children
-            children += (route.first[g + 1] - route.first[g]) * successors
-            for k in range(successors - 1, -1, -1):  # the first with its letter last, which the others are read from
+            situations = route.first[g + 1] - route.first[g]
+            for k in range(chart.begin[s + 1] - begin - 1, -1, -1):  # the first with its letter last, as others read it
                 s2, first = np.int64(chart.successors[begin + k]), 0
                 while rules.letter[chart.successors[begin + first]] != rules.letter[s2]:
                     first += 1
-                for m in range(before, children, successors):
-                    put(chart.child, m + k, at(number, s2 * (memories + 2) + at(chart.child, m + first)))
+                new, old = children + k * situations, children + first * situations
+                for i in range(situations):
+                    put(chart.child, new + i, at(number, s2 * (memories + 2) + at(chart.child, old + i)))
+            children += situations * (chart.begin[s + 1] - begin)
         for i in range(route.first[low], route.first[after]):
             q = np.int64(route.memory[i])
             if room.peak_mark[q] != tick:
@@ -296,11 +284,10 @@ def spread(rules: Any, walked: Any, route: Any, chart: Any, room: Any, since: in
 
 
 @part
-def sweep(rules: Any, route: Any, chart: Any, room: Any, since: int) -> None:
-    """Backward induction over the chart's situations, sixteen choices at once."""
-    letters, value, best, child = len(rules.occurring), room.value, room.best, chart.child
-    probability, column, slot = room.probability, chart.column, chart.slot
-    h, m = len(rules.worth), 0
+def sweep(rules: Any, walked: Any, route: Any, chart: Any, room: Any, since: int) -> None:
+    """Backward induction over the chart's situations, eight of a group at once, which have the same chances."""
+    letters, value, best, child, ahead = len(rules.occurring), room.value, room.best, chart.child, room.ahead
+    h, m, zeros, lost = len(rules.worth), 0, splat(0.0), splat(np.int64(_LOST))
     value[0], value[1], best[0] = 0.0, 1.0, 0.0
     for g in range(chart.layer[h]):
         s = chart.touched[g]
@@ -315,33 +302,30 @@ def sweep(rules: Any, route: Any, chart: Any, room: Any, since: int) -> None:
         best[chart.kinds[t] : chart.kinds[t + 1]] = 0.0
         for g in range(chart.layer[t + 1] - 1, chart.layer[t] - 1, -1):
             s, low, high = chart.touched[g], route.first[g], route.first[g + 1]
-            first, last, choices = chart.block[s], chart.block[s + 1], rules.first_choice[s + 1] - rules.first_choice[s]
+            first, after, situations = rules.first_choice[s], rules.first_choice[s + 1], high - low
             children = chart.begin[s + 1] - chart.begin[s]
-            m -= (high - low) * children
-            for i in range(low, high):
-                tops, here, most, which = splat(room.top[chart.peak[i]]), m + (i - low) * children, -1.0, 0
-                for b in range(first, last):
-                    one, more, lane = splat(0.0), splat(0.0), 16 * b
-                    if choices - 16 * (b - first) > 8:
-                        for k in range(column[b], column[b + 1]):
-                            worth_of = splat_at(value, np.int64(at(child, here + np.int64(at(slot, k)))))
-                            one = add(one, mul(load(probability, 16 * k), worth_of))
-                            more = add(more, mul(load(probability, 16 * k + 8), worth_of))
-                        more = add(more, mul(load(room.hope, lane + 8), tops))
-                        more = add(more, mul(load(room.fresh, lane + 8), worths))
-                    else:
-                        for k in range(column[b], column[b + 1]):
-                            worth_of = splat_at(value, np.int64(at(child, here + np.int64(at(slot, k)))))
-                            one = add(one, mul(load(probability, 16 * k), worth_of))
-                    one = add(one, mul(load(room.hope, lane), tops))
-                    one = add(one, mul(load(room.fresh, lane), worths))
-                    dearest = greatest(select(greater(more, one), more, one))
-                    if dearest > most:
-                        most = dearest
-                        which = lane - 16 * first + min(first_equal(one, most), 8 + first_equal(more, most))
-                value[2 + i] = most
-                route.choice[i] = which if most > 0.0 else _LOST
-                best[chart.kind[i]] = max(best[chart.kind[i]], most)
+            m -= situations * children
+            for i in range(low, high, N):
+                for k in range(children):
+                    store(ahead, N * k, gather(value, child, m + k * situations + i - low))
+                tops, dearest, which = gather(room.top, chart.peak, i), splat(-1.0), lost
+                for c in range(first, after):
+                    total = zeros
+                    for e in range(walked.start[c], walked.start[c + 1]):
+                        chance = splat_at(room.chance, e)
+                        total = add(total, mul(chance, load(ahead, N * np.int64(at(chart.slot, e)))))
+                    total = add(total, mul(splat_at(room.hope, c), tops))
+                    total = add(total, mul(splat_at(room.fresh, c), worths))
+                    better = greater(total, dearest)
+                    dearest = select(better, total, dearest)
+                    which = select(better, splat(np.int64(c - first)), which)
+                which = select(greater(dearest, zeros), which, lost)
+                end = min(i + N, high)
+                here = mask(np.uint8((1 << (end - i)) - 1))
+                store(value, 2 + i, select(here, dearest, load(value, 2 + i)))
+                narrow_where(route.choice, i, here, which)
+                for j in range(i, end):
+                    best[chart.kind[j]] = max(best[chart.kind[j]], value[2 + j])
 
 
 @kernel
@@ -351,7 +335,7 @@ def plan(rules: Any, walked: Any, route: Any, chart: Any, room: Any, since: int,
     for one in walked.known:
         known += one
     if stamp[0] != entries:
-        if not columns(rules, walked, chart, room):
+        if not successors(rules, walked, chart, room):
             stamp[1] = -1
         stamp[0] = entries
     if stamp[1] != known or stamp[2] != since or stamp[3] != s or stamp[4] != q:
@@ -360,8 +344,8 @@ def plan(rules: Any, walked: Any, route: Any, chart: Any, room: Any, since: int,
             return False
         stamp[1], stamp[2], stamp[3], stamp[4] = known, since, s, q
     route.counter[0] += 1
-    rows(walked, chart, room, route.level[0])
-    sweep(rules, route, chart, room, since)
+    rows(walked, room, route.level[0])
+    sweep(rules, walked, route, chart, room, since)
     if since == 0 and route.belief[0] == DRAWN:
         route.belief[0], route.belief[2], route.belief[3] = HELD, s, q
     return True
@@ -523,7 +507,7 @@ def warm_up() -> None:
         np.zeros(2, np.int64), whole, np.zeros(4, np.int32), np.zeros(4, np.int64), np.zeros(4), np.zeros(1, np.bool_)
     )
     route = route_of(1, 1, 1, 1)
-    chart, room = with_entries(with_children(chart_of(1, 1, places, 1)), room_of(1, 1, 1, 1, 1), 4)
+    chart, room = with_entries(with_children(chart_of(1, 1, 1, 1)), room_of(1, 1, 1, 1, 1), 4)
     env = Tables(*one_state(), np.ones(1), np.ones(1))
     begins(route, 0, 0)
     believe(walked, route, one, -1.0)

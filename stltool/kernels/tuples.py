@@ -7,6 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+_LANES = 8  # of a vector; whole ones are read at an array's end
+
 
 class Tables(NamedTuple):
     """A model ready to be sampled by inversion: the MDP's arrays, `sums` within rows, `first` the initial states'."""
@@ -149,29 +151,20 @@ class Route(NamedTuple):
 class Chart(NamedTuple):
     """Where transitions lead from one situation on; it holds for all plans from there until they lead elsewhere.
 
-    Choices stand in blocks of sixteen, those of a state in blocks of their own: lane[c] = 16 · block + place. A block
-    has a column for each state that one of its choices leads to, ascending.
-
     stamp (5,): numbers of entries and of known states, and step, state and memory, for which it was made
-    block (S+1,), lane (choices,), by state and choice          begin (S+1,), successors (entries,) of states, ascending
-    column (blocks+1,), slot (entries,): each column's successor, counted from its state's first
-    cell (entries,): where an entry's probability stands, 16 · column + place
+    begin (S+1,), successors (entries,) of states, ascending    slot (entries,): each one's place among its state's
 
     touched (h·S,) and layer (h+2,): the state of each group, the first group of each step
-    child (n,): what each situation's successors are worth: 0 or 1, or 2 + a situation
+    child (n,): what successors are worth: 0 or 1, or 2 + a situation; by group, successor and situation
     kind (situations,): its letter and memory, by number from 1; kinds (h+2,): the first of each step
     peak (situations,): its step and memory, by number; peaks (h+1,): the first of each step
     basis (peaks,), feeds (peaks · occurring letters,): which states may be entered from there: a least worth, and kinds
     """
 
     stamp: NDArray[np.int64]
-    block: NDArray[np.int64]
-    lane: NDArray[np.int64]
     begin: NDArray[np.int64]
     successors: NDArray[np.int32]
-    column: NDArray[np.int64]
     slot: NDArray[np.int32]
-    cell: NDArray[np.int64]
     touched: NDArray[np.int64]
     layer: NDArray[np.int64]
     child: NDArray[np.int32]
@@ -186,26 +179,26 @@ class Chart(NamedTuple):
 class Room(NamedTuple):
     """Where a chart and a plan are computed; nothing in it outlasts that, but marks smaller than the counter's.
 
-    probability (entries · 16,), by columns; hope, fresh (blocks · 16,): what leads outside of choices tried, untried
-    value (2 + situations,), best (kinds,), top (peaks,)
+    chance (entries,); hope, fresh (choices,)   what leads outside of choices tried, untried
+    value (2 + situations,), best (kinds,), top (peaks,)    ahead (8 · S,): values of eight situations' successors
     memo (n,), unseen (letters,)     hope by visits; whether a state of that letter was never seen
-    used, where (S,), successors (entries,)   marks of states, and their places; states, sorted
+    used (S,), successors (entries,)   places of states; states, sorted
     number (S · (Q + 2),)            what situations of the next step are worth: 2 + their numbers; 0 and 1
     kind_mark, kind_number (letters, Q), peak_mark, peak_number (Q,)   marks of kinds and peaks, and their numbers
     reached (S,), pending (S, Q / 64)   whether the next step leads there; with which memories, as bits
     letter_mark (letters,), bits (letters, Q / 64)   marks of letters of a group's successors; where its memories lead
     """
 
-    probability: NDArray[np.float64]
+    chance: NDArray[np.float64]
     hope: NDArray[np.float64]
     fresh: NDArray[np.float64]
     value: NDArray[np.float64]
     best: NDArray[np.float64]
     top: NDArray[np.float64]
+    ahead: NDArray[np.float64]
     memo: NDArray[np.float64]
     unseen: NDArray[np.bool_]
     used: NDArray[np.int64]
-    where: NDArray[np.int64]
     successors: NDArray[np.int32]
     number: NDArray[np.int32]
     kind_mark: NDArray[np.int64]
@@ -228,37 +221,32 @@ def route_of(h: int, S: int, Q: int, choices: int) -> Route:
     """No plan yet, for at most h·S·Q situations."""
     return Route(
         group=np.full((h, S), -1, dtype=np.int32), first=np.zeros(h * S + 1, dtype=np.int64),
-        memory=np.zeros(h * S * Q, dtype=np.int32), choice=np.zeros(h * S * Q, dtype=np.int32),
+        memory=np.zeros(h * S * Q, dtype=np.int32), choice=np.zeros(h * S * Q + _LANES, dtype=np.int32),
         turned=np.zeros(choices, dtype=np.int64), counter=np.zeros(2, dtype=np.int64),
         belief=np.zeros(4, dtype=np.int64), level=np.zeros(1), limit=np.zeros(choices, dtype=np.int64),
     )  # fmt: skip
 
 
-def chart_of(h: int, Q: int, first_choice: NDArray[np.int64], letters: int) -> Chart:
+def chart_of(h: int, S: int, Q: int, letters: int) -> Chart:
     """None yet; no room for entries, and for children."""
-    n, S = np.diff(first_choice), len(first_choice) - 1
-    block = np.concatenate([[0], np.cumsum(-(-n // 16))])
-    lane = np.arange(first_choice[-1]) + np.repeat(16 * block[:-1] - first_choice[:-1], n)
     none, situations, peaks = np.zeros(0, dtype=np.int32), h * S * Q, h * Q
     return Chart(
-        stamp=np.full(5, -1, dtype=np.int64), block=block, lane=lane, begin=np.zeros(S + 1, dtype=np.int64),
-        successors=none, column=np.zeros(block[-1] + 1, dtype=np.int64), slot=none, cell=np.zeros(0, dtype=np.int64),
+        stamp=np.full(5, -1, dtype=np.int64), begin=np.zeros(S + 1, dtype=np.int64), successors=none, slot=none,
         touched=np.zeros(h * S, dtype=np.int64), layer=np.zeros(h + 2, dtype=np.int64), child=none,
         kind=np.zeros(situations, dtype=np.int32), kinds=np.zeros(h + 2, dtype=np.int64),
-        peak=np.zeros(situations, dtype=np.int32), peaks=np.zeros(h + 1, dtype=np.int64),
+        peak=np.zeros(situations + _LANES, dtype=np.int32), peaks=np.zeros(h + 1, dtype=np.int64),
         basis=np.zeros(peaks), feeds=np.zeros(peaks * letters, dtype=np.int32),
     )  # fmt: skip
 
 
-def room_of(h: int, S: int, Q: int, letters: int, blocks: int) -> Room:
+def room_of(h: int, S: int, Q: int, letters: int, choices: int) -> Room:
     """Room for such charts and plans; none for entries yet."""
     words = (Q + 63) // 64
     return Room(
-        probability=np.zeros(0), hope=lines(16 * blocks), fresh=lines(16 * blocks),
-        value=np.zeros(h * S * Q + 2), best=np.zeros(h * min(letters, S) * Q + 1), top=np.zeros(h * Q),
-        memo=np.zeros(64), unseen=np.zeros(letters, dtype=np.bool_), used=np.zeros(S, dtype=np.int64),
-        where=np.zeros(S, dtype=np.int64), successors=np.zeros(0, dtype=np.int32),
-        number=np.zeros(S * (Q + 2), dtype=np.int32),
+        chance=np.zeros(0), hope=np.zeros(choices), fresh=np.zeros(choices), value=np.zeros(h * S * Q + 2 + _LANES),
+        best=np.zeros(h * min(letters, S) * Q + 1), top=np.zeros(h * Q), ahead=lines(_LANES * S), memo=np.zeros(64),
+        unseen=np.zeros(letters, dtype=np.bool_), used=np.zeros(S, dtype=np.int64),
+        successors=np.zeros(0, dtype=np.int32), number=np.zeros(S * (Q + 2), dtype=np.int32),
         kind_mark=np.zeros((letters, Q), dtype=np.int64), kind_number=np.zeros((letters, Q), dtype=np.int32),
         peak_mark=np.zeros(Q, dtype=np.int64), peak_number=np.zeros(Q, dtype=np.int32),
         reached=np.zeros(S, dtype=np.bool_), pending=np.zeros((S, words), dtype=np.uint64),
@@ -269,10 +257,8 @@ def room_of(h: int, S: int, Q: int, letters: int, blocks: int) -> Room:
 def with_entries(chart: Chart, room: Room, n: int) -> tuple[Chart, Room]:
     """The same with room for n entries; the chart is to be made again."""
     chart.stamp[:] = -1
-    chart = chart._replace(
-        successors=np.zeros(n, dtype=np.int32), slot=np.zeros(n, dtype=np.int32), cell=np.zeros(n, dtype=np.int64)
-    )
-    return chart, room._replace(probability=lines(16 * n), successors=np.zeros(n, dtype=np.int32))
+    chart = chart._replace(successors=np.zeros(n, dtype=np.int32), slot=np.zeros(n, dtype=np.int32))
+    return chart, room._replace(chance=np.zeros(n), successors=np.zeros(n, dtype=np.int32))
 
 
 def with_children(chart: Chart) -> Chart:

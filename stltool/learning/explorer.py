@@ -88,8 +88,8 @@ class Explorer:
             start, visits, counts.target.astype(np.int32), counts.seen.copy(), np.zeros(len(counts.seen)), known
         )
         self.route = route_of(h, S, Q, n)
-        self.chart = chart_of(h, Q, self.rules.first_choice, len(self.rules.occurring))
-        self.room = room_of(h, S, Q, automaton.n_letters, int(self.chart.block[-1]))
+        self.chart = chart_of(h, S, Q, len(self.rules.occurring))
+        self.room = room_of(h, S, Q, automaton.n_letters, n)
 
     def episode(self, episode: Episode, optimism: float, starts: NDArray[np.int64]) -> None:
         """Play one, or all that it stands for, each by the belief that is held, or else by a new one.

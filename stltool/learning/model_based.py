@@ -10,7 +10,7 @@ Plans are lazy: they are made for what the transitions seen lead to from the pre
 kept as long as it applies. Where it relies on a choice that has been tried in the meantime, or says nothing, another
 untried choice of that state will do, which promises as much; only if there is none, the rest of the episode is planned
 again. On products that are not large, a kernel plays episodes (learning/explorer.py): there a model and its plan are
-held for the episodes that follow until some choice has been taken a sixteenth more often than when it was drawn, or a
+held for the episodes that follow until some choice has been taken a quarter more often than when it was drawn, or a
 transition is new, as episodes of UCRL2 last until a count has doubled [Jaksch10]. And hope for a choice that has been
 tried is modest: it leads to the best state that the model has for what is left of the task, which is paradise only
 while there are untried choices or certain success. Otherwise, where even the best policy mostly fails, hope would be

@@ -71,13 +71,13 @@ def test_a_plan_that_is_held_outlives_the_run(patrolling, tmp_path):
     settings = {"seed": 3, "evaluate_every": 1000}
     whole = stl.learn(patrolling, episodes=400, **settings)
     plans, path = [], tmp_path / "run.ckpt"
-    for cut in range(301, 400, 9):
+    for cut in range(31, 400, 33):
         with pytest.raises(Cut):
             stl.learn(
                 patrolling,
                 episodes=400,
                 checkpoint=path,
-                resume=cut > 301,
+                resume=cut > 31,
                 checkpoint_every=0,
                 progress=cut_after(cut),
                 **settings,

@@ -11,9 +11,10 @@ from stltool.automata import UNDECIDED
 from stltool.choices import Table
 from stltool.cli.steps import read_learner
 from stltool.errors import ModelError, SettingsError
-from stltool.kernels import exploring, planning, warm_up
+from stltool.kernels import exploring, lanes, planning, warm_up
 from stltool.kernels import learning as kernels
 from stltool.learning import LEARNERS, Counts, Episode, Problem
+from stltool.learning.explorer import Explorer
 from stltool.learning.methods import budget_table, class_of, make, methods_table, settings_table
 from stltool.learning.model_based import Belief, Planner
 from stltool.learning.optimism import NEXT_TO_NOTHING, doubt, level, paradise, unrefuted
@@ -545,7 +546,7 @@ def test_where_the_data_promise_nothing_the_policy_takes_what_is_untried(most, m
     assert stl.check(product, stl.Policy(product, learner.policy(state))).probability == 1.0
 
 
-def sweep_one_by_one(rules, route, chart, room, since):
+def sweep_one_by_one(rules, walked, route, chart, room, since):
     """`exploring.sweep` for one choice after the other; both add what leads outside last."""
     h, letters, twice = len(rules.worth), len(rules.occurring), np.zeros(int(chart.layer[len(rules.worth)]) + 1, int)
     states = chart.touched[: len(twice) - 1]
@@ -559,25 +560,36 @@ def sweep_one_by_one(rules, route, chart, room, since):
         for g in range(chart.layer[t], chart.layer[t + 1]):
             s, children = states[g], twice[g]
             n = chart.begin[s + 1] - chart.begin[s]
+            situations = route.first[g + 1] - route.first[g]
             for i in range(route.first[g], route.first[g + 1]):
-                values = room.value[chart.child[children : children + n]]
-                children, sums = children + n, []
-                for lane in chart.lane[rules.first_choice[s] : rules.first_choice[s + 1]]:
-                    b, total = lane // 16, 0.0
-                    for k in range(chart.column[b], chart.column[b + 1]):
-                        total += room.probability[16 * k + lane % 16] * values[chart.slot[k]]
-                    total += room.hope[lane] * room.top[chart.peak[i]]
-                    sums.append(total + room.fresh[lane] * rules.worth[t])
+                values = room.value[chart.child[children + i - route.first[g] :][: situations * n : situations]]
+                sums = []
+                for c in range(rules.first_choice[s], rules.first_choice[s + 1]):
+                    total = 0.0
+                    for e in range(walked.start[c], walked.start[c + 1]):
+                        total += room.chance[e] * values[chart.slot[e]]
+                    total += room.hope[c] * room.top[chart.peak[i]]
+                    sums.append(total + room.fresh[c] * rules.worth[t])
                 room.value[2 + i] = max(sums)
                 route.choice[i] = int(np.argmax(sums)) if max(sums) > 0 else -2
                 room.best[chart.kind[i]] = max(room.best[chart.kind[i]], max(sums))
 
 
-def test_an_explorer_equals_its_python_twin(good_or_bad, monkeypatch):
-    """Whole episodes of the model-based learner: of a task that is soon lost, and on the way to what is unknown."""
-    products = [good_or_bad, stl.build_product(oracles.corridor(4), stl.parse("F[0,5] end"))]
-    settings = {"episodes": 12, "evaluate_every": 4, "seed": 2}
+def test_an_explorer_equals_its_python_twin(good_or_bad, floor5, monkeypatch):
+    """Whole episodes of the model-based learner: of a task that is soon lost, on the way to what is unknown, and with
+    more memories than a vector has lanes."""
+    patrolling = stl.build_product(floor5, stl.load_task(FACTORY / "patrolling.stl", params={"T": 7, "tau": 7}))
+    products = [good_or_bad, stl.build_product(oracles.corridor(4), stl.parse("F[0,5] end")), patrolling]
+    settings, made, begin = {"episodes": 12, "evaluate_every": 4, "seed": 2}, [], Explorer.__init__
+
+    def keep(explorer, *given):
+        made.append(explorer)
+        begin(explorer, *given)
+
+    monkeypatch.setattr(Explorer, "__init__", keep)
     fast = [stl.learn(product, **settings) for product in products]
+    route, chart = made[-1].route, made[-1].chart
+    assert np.diff(route.first[: chart.layer[patrolling.horizon] + 1]).max() > 2 * lanes.N
     names = [name for name, value in vars(exploring).items() if hasattr(value, "py_func")]
     assert len(names) >= 8
     for name in names:
