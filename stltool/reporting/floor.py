@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 _LABEL_COLOURS = ("#9ecae1", "#fdae6b", "#a1d99b", "#bcbddc", "#fa9fb5", "#fee391", "#c7e9c0", "#d9d9d9")
 _BLOCKED, _GRID, _RUN = "#4a4a4a", "#cccccc", "#b2182b"
+_ON_COLOUR = "#1a1a1a"  # stays dark where a dark page turns INK light (page.css)
 _LEFT, _RIGHT, _BOTTOM, _TOP, _LEGEND = 0.55, 0.15, 0.5, 0.15, 1.5  # inches around the floor
 _SMALL = 22.0  # points; a smaller cell has no text, and a legend explains the colours
 _TEXT = 5.0  # points; smaller text is illegible
@@ -84,7 +85,8 @@ def floor_map(floor: dict[str, Any], states: Sequence[int] | None = None, salt: 
     if legend:
         axes.legend(handles=legend, loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8, frameon=False)
     captions = {} if sheet.points < _SMALL else _captions(floor, cells)
-    _draw_captions(sheet, captions, moves)
+    coloured = {cells[s] for states in floor["labels"].values() for s in states}
+    _draw_captions(sheet, captions, coloured, moves)
     _draw_moves(sheet, moves)
     _draw_visits(sheet, path, captions)
     return svg(figure, salt, "the floor with its labels" + (" and a run" if path else ""))
@@ -135,15 +137,17 @@ def _draw_cells(sheet: _Sheet, floor: dict[str, Any], cells: Sequence[Cell]) -> 
         sheet.shapes(parts, f"label-{i}", facecolor=_colour(i), **style)
 
 
-def _draw_captions(sheet: _Sheet, captions: dict[Cell, str], moves: Sequence[tuple[Cell, Cell]]) -> None:
+def _draw_captions(
+    sheet: _Sheet, captions: dict[Cell, str], coloured: set[Cell], moves: Sequence[tuple[Cell, Cell]]
+) -> None:
     """Captions in the upper left corner of a cell; in the right one if a diagonal move passes only the left one."""
     size = min(10.0, max(_TEXT, 0.15 * sheet.points))
     passed = {(max(c, d), max(r, q)) for (c, r), (d, q) in moves if abs(c - d) == abs(r - q) == 1}
     for (column, row), text in captions.items():
         right = (column, row + 1) in passed and (column + 1, row + 1) not in passed
         x, y = column + (0.93 if right else 0.07), row + 0.94 - _CAPITALS * size / sheet.points
-        told = fitted(text, size, 0.86 * sheet.points)
-        sheet.write(x, y, told, size, "caption", ha="right" if right else "left", color=INK, zorder=4)
+        told, colour = fitted(text, size, 0.86 * sheet.points), _ON_COLOUR if (column, row) in coloured else INK
+        sheet.write(x, y, told, size, "caption", ha="right" if right else "left", color=colour, zorder=4)
 
 
 def _draw_moves(sheet: _Sheet, moves: Sequence[tuple[Cell, Cell]]) -> None:

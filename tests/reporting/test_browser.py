@@ -34,6 +34,7 @@ pytestmark = [
     pytest.mark.xdist_group("browser"),
 ]
 SCREENSHOTS = ROOT / "out" / "screenshots"
+DARK = "rgb(26, 26, 26)"  # captions of coloured cells, in floor.py
 EVIL = "</script><img src=x onerror=alert(1)>"
 
 
@@ -431,12 +432,28 @@ def test_ink_can_be_read_on_every_colour_of_the_ramp(browser, factory, scheme):
         assert min(ratios) >= 4.5
 
 
+@pytest.mark.parametrize(("scheme", "plain"), [("light", "rgb(26, 29, 33)"), ("dark", "rgb(232, 234, 236)")])
+def test_captions_of_coloured_cells_are_dark_on_every_page(browser, factory, scheme, plain):
+    """Those of white cells, which are dark on a dark page, are in its ink."""
+    with Opened(browser, factory[3], scheme=scheme) as page:
+        colours = dict(
+            page.js(
+                "[...document.querySelectorAll('.pictures .caption text')]"
+                ".map(t => [t.textContent, getComputedStyle(t).fill])"
+            )
+        )
+        assert colours == {"A": DARK, "B": DARK, "C": DARK, "start": plain}
+
+
 @pytest.mark.parametrize("width", [390, 1280])
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_pages_fit_and_are_kept_as_pictures(browser, factory, width, scheme):
     SCREENSHOTS.mkdir(parents=True, exist_ok=True)
     with Opened(browser, factory[3], width=width, scheme=scheme) as page:
         assert page.js("document.documentElement.scrollWidth") == width
+        high, letter = page.js("""(({ clientHeight }, { fontSize }) => [clientHeight, parseFloat(fontSize)])(
+            document.querySelector(".verdict .p"), getComputedStyle(document.querySelector(".verdict .p")))""")
+        assert high < 2 * letter  # a number on one line
         page.page.screenshot(path=SCREENSHOTS / f"factory-{width}-{scheme}.png", full_page=True)
 
 
@@ -538,6 +555,12 @@ def test_two_robots_are_explored_on_their_floors(browser, tmp_path):
         arrows = page.js("explorer.E.position.bodies.map(body => body.actions)")
         for a, name in enumerate(model.action_names):
             assert name == "+".join(f"r{i}.{own[a]}" for i, own in enumerate(arrows, start=1))
+        # what is remembered takes a line of words: steps are narrow all the same
+        widths = page.js("[...document.querySelectorAll('.line td')].map(td => td.offsetWidth / td.colSpan)")
+        assert max(widths) < 160
+        where = page.js("""[document.querySelector(".line td.now"), document.querySelector(".spark .cursor")]
+            .map(part => part.getBoundingClientRect()).map(box => box.x + box.width / 2)""")
+        assert where[0] == pytest.approx(where[1], abs=1.5)
         SCREENSHOTS.mkdir(parents=True, exist_ok=True)
         page.page.locator("#explorer").screenshot(path=SCREENSHOTS / "team.png")
 

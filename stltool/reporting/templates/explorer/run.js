@@ -30,7 +30,8 @@ function drawLine() {
     return el("td", { class: t === view.t ? "now" : null }, el("button", attributes, String(t)));
   });
   const body = [el("tr", {}, el("th", { scope: "row" }, "step"), ...numbers)];
-  body.push(row(place, (t) => E.states[at(t)[0]].replace(/^\((.*)\)$/, "$1")));
+  const name = (t) => E.states[at(t)[0]].replace(/^\((.*)\)$/, "$1");
+  body.push(row(place, (t) => el("span", { class: "place" }, name(t))));
   body.push(row("label", (t) => marksOf[at(t)[0]].join(" ")));
   for (const track of tracks)
     if (track.phrases.length > 1)
@@ -48,9 +49,11 @@ function drawLine() {
     }),
   );
   body.push(row("P of failing", (t) => failing(values[t - run.start])));
-  body.push(spark(steps, values));
+  const curve = el("td", { colspan: steps.length });
+  body.push(el("tr", { "aria-hidden": "true" }, el("th", {}, "P, odds scale"), curve));
   const table = $("line");
   table.replaceChildren(el("caption", { class: "sr" }, "The run step by step"), el("tbody", {}, ...body));
+  curve.append(spark(numbers, curve, values));
   const now = table.querySelector("td.now"),
     box = table.parentElement;
   if (now && box.scrollWidth > box.clientWidth) box.scrollLeft = now.offsetLeft - box.clientWidth / 2;
@@ -64,7 +67,8 @@ function phraseRow(track, steps) {
     if (last && last.text === text) last.n++;
     else spans.push({ text, n: 1 });
   }
-  const cell = (span) => el("td", { colspan: span.n }, el("div", { class: "phrase", title: span.text }, span.text));
+  const phrase = (span) => el("div", { class: "phrase", style: `--n:${span.n}`, title: span.text }, span.text);
+  const cell = (span) => el("td", { colspan: span.n }, phrase(span));
   return el("tr", {}, el("th", { scope: "row", title: track.name }, track.name), ...spans.map(cell));
 }
 function bar(track, t) {
@@ -93,20 +97,19 @@ function verdictChip(t) {
     el("span", { class: "sr" }, v ? "satisfied" : "violated"),
   );
 }
-function spark(steps, values) {
+function spark(columns, curve, values) {
   const odds = values.filter((p) => p > 0 && p < 1).map(logit);
   const low = Math.min(...odds, range[1] - 0.5),
-    high = Math.max(range[1], ...odds),
-    n = steps.length;
+    high = Math.max(range[1], ...odds);
   const y = (p) => 42 - 38 * (p >= 1 ? 1 : !(p > 0) ? 0 : (logit(p) - low) / (high - low || 1));
-  const x = (i) => ((i + 0.5) * 100) / n;
+  // below the steps, whose columns may differ in width
+  const x = (i) => (100 * (columns[i].offsetLeft - curve.offsetLeft + columns[i].offsetWidth / 2)) / curve.offsetWidth;
   const d = values.map((p, i) => `${i ? "L" : "M"}${x(i)} ${y(p)}`).join("");
   const now = x(Math.max(0, Math.min(view.t, end()) - run.start));
-  const picture = svg(
+  return svg(
     "svg",
     { class: "spark", viewBox: "0 0 100 46", preserveAspectRatio: "none" },
     svg("path", { d }),
     svg("path", { class: "cursor", d: `M${now} 0V46` }),
   );
-  return el("tr", { "aria-hidden": "true" }, el("th", {}, "P, odds scale"), el("td", { colspan: n }, picture));
 }
