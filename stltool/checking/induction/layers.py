@@ -66,8 +66,9 @@ class Budget:
 
     def need(self, n: int, t: int, h: int) -> None:
         """Claim n bytes temporarily."""
-        what = f"{self._what}: {t + 1} of {h} steps" if t else self._what
-        require_memory(self._taken + n, what, _SMALLER, self.limit)
+        if self._taken + n > self.limit:
+            what = f"{self._what}: {t + 1} of {h} steps" if t else self._what
+            require_memory(self._taken + n, what, _SMALLER, self.limit)
 
     def require_time(self, work: float, h: int) -> None:
         """Check the time for `work` multiply-adds, as far as they can be predicted."""
