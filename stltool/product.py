@@ -248,6 +248,14 @@ class Both:
         return (*self.left.memory(own, text), *policys)
 
 
+def with_early_verdicts(product: Product) -> Product:
+    """`product` with verdicts as soon as no sequence of its model's states can change them (`decided_early`).
+
+    They are those of the task, whatever automaton decides it: an automaton may decide later than it could.
+    """
+    return replace(product, automaton=decided_early(product.automaton, product.letter))
+
+
 def with_outcome(product: Product, model: MDP, verdict: int) -> Product:
     """`product` over `model`: its states and one more, the last, that decides the task as `verdict` when entered.
 
@@ -256,7 +264,7 @@ def with_outcome(product: Product, model: MDP, verdict: int) -> Product:
     It decides runs as early as the letters allow (`decided_early`): nothing need be known about the steps after that.
     """
     letter = np.append(product.letter, np.int32(product.automaton.n_letters))
-    automaton = decided_early(product.automaton, product.letter).with_outcome(verdict)
+    automaton = with_early_verdicts(product).automaton.with_outcome(verdict)
     return replace(product, model=model, automaton=automaton, letter=letter)
 
 

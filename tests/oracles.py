@@ -219,17 +219,28 @@ def chosen(policy, t: int, s: int, q: int, options: list[Fraction]) -> Fraction:
     return sum((w * o for w, o in zip(weights, options, strict=True)), Fraction(0)) / sum(weights)
 
 
+def outcomes_of(product):
+    """The verdicts of all sequences of states that may follow (t, q), whatever the model's transitions: a function."""
+
+    @functools.cache
+    def outcomes(t: int, q: int) -> frozenset[int]:
+        if (verdict := int(product.automaton.verdicts(t)[q])) >= 0:
+            return frozenset({verdict})
+        return frozenset().union(*(outcomes(t + 1, product.enter(s, q)) for s in range(product.model.n_states)))
+
+    return outcomes
+
+
 def expected_cost(product, cost, policy=None, maximize=False, until="verdict") -> Fraction:
     """The expected sum of `cost(s, c, k)`, for state s, choice c and entry k of the rows, by walking all histories.
 
-    A history's verdict is decided where the automaton decides it: that it does so as early as it can is no matter of
-    costs.
+    A history's verdict is decided as soon as all sequences of states that may follow agree on it.
     """
     model, automaton, best = product.model, product.automaton, max if maximize else min
-    exact = model.exact()
+    exact, outcomes = model.exact(), outcomes_of(product)
 
     def value(s: int, q: int, t: int) -> Fraction:
-        if t == product.horizon or (until == "verdict" and automaton.verdicts(t)[q] >= 0):
+        if t == product.horizon or (until == "verdict" and len(outcomes(t, q)) == 1):
             return Fraction(0)
         options = []
         for c in range(model.choice_start[s], model.choice_start[s + 1]):
@@ -251,11 +262,11 @@ def within_budget(product, cost, budget, policy=None, maximize=True) -> Fraction
     `cost(s, c, k)` as in `expected_cost`; the optimum is over policies that know all that happened.
     """
     model, automaton, best = product.model, product.automaton, max if maximize else min
-    exact = model.exact()
+    exact, outcomes = model.exact(), outcomes_of(product)
 
     def value(s: int, q: int, t: int, spent: Fraction) -> Fraction:
-        if (verdict := automaton.verdicts(t)[q]) >= 0:
-            return Fraction(int(verdict == 1 and spent <= budget))
+        if len(verdicts := outcomes(t, q)) == 1:
+            return Fraction(int(verdicts == {1} and spent <= budget))
         options = []
         for c in range(model.choice_start[s], model.choice_start[s + 1]):
             total = Fraction(0)

@@ -3,8 +3,8 @@
     V_t(s,q) = 0                                                              once the sum ends
              = opt_c g(s) + g(c) + Σ_s' P(s'|c) (g(s,c,s') + V_{t+1}(s', δ(L(s'),q)))      otherwise
 
-The sum ends where the verdict is decided, or only after h steps (`until`). Its optimum over all policies is reached by
-a deterministic policy of (t, s, q) [Puterman94, ch. 4].
+The sum ends where the verdict is decided, which no sequence of states can change then, or only after h steps (`until`).
+Its optimum over all policies is reached by a deterministic policy of (t, s, q) [Puterman94, ch. 4].
 
 **Enclosure.** With G ≥ |g| and n roundings along every path, the computed value of each policy misses its exact one by
 at most γ_n·h·G, whatever the signs, and so does the optimum, for rounding is monotone: the computed optimum is that of
@@ -52,7 +52,7 @@ from stltool.errors import PolicyError, SettingsError
 from stltool.models.rows import Rows, least_positive
 from stltool.numbers import round_down, round_up
 from stltool.policy import Policy, require_door
-from stltool.product import Product
+from stltool.product import Product, with_early_verdicts
 
 Until: TypeAlias = Literal["verdict", "horizon"]
 _LARGEST = 1e100  # over the horizon
@@ -108,10 +108,10 @@ def expected_cost(
 
     `cost` is the name of a cost of the model, of a signal or of a label (1 where it holds), or a function of a state's
     and an action's name; its numbers may be negative. A step is paid when its action is taken: the state in which the
-    sum ends costs nothing. `until="verdict"` stops paying when the verdict is decided, so a policy may pay less by
-    deciding the task sooner, for or against; `until="horizon"` pays for all `product.horizon` steps.
-    After the verdict, a policy of `check` takes the first action of every state. `exact=True` adds the exact fraction:
-    numbers in decimals and fractions mean exactly that.
+    sum ends costs nothing. `until="verdict"` stops paying as soon as no sequence of the model's states can change the
+    verdict, so a policy may pay less by deciding the task sooner, for or against; `until="horizon"` pays for all
+    `product.horizon` steps. After the verdict, a policy of `check` takes the first action of every state. `exact=True`
+    adds the exact fraction: numbers in decimals and fractions mean exactly that.
 
     Raises NameLookupError for a cost that the model does not have; PolicyError if the policy belongs to another task or
     model, or defines no action where it is needed (after the verdict too, until the horizon); SizeError before
@@ -126,6 +126,8 @@ def expected_cost(
     function(progress, "expected_cost's progress")
     product.model.require_points()
     judge, judged = policy.on(product) if policy is not None else (product, None)
+    if until == "verdict":
+        judge = with_early_verdicts(judge)
     paid = Paid.of("expected_cost", judge.model, cost)
     most = Fraction(paid.largest) * judge.horizon
     if most > _LARGEST:

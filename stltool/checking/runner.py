@@ -31,7 +31,7 @@ from stltool.models.names import StateLookup
 from stltool.models.rows import spans
 from stltool.numbers import NumberError, exact
 from stltool.policy import Policy
-from stltool.product import Product
+from stltool.product import Product, with_early_verdicts
 from stltool.randomness import Purpose, generator, require_seed
 from stltool.reached import entered, reached_by, read
 
@@ -63,6 +63,7 @@ class Runner(Displayed):
             shield.require_for(product)
         self._shield = shield
         self.product, self.policy = given.on(product)
+        self._early = with_early_verdicts(self.product).automaton
         self._states = StateLookup(product.model)
         self._values = _Values(self.product, self.policy)
         self._text = with_names(product.definitions)
@@ -158,10 +159,10 @@ class Runner(Displayed):
 
     @property
     def verdict(self) -> bool | None:
-        """Whether the run satisfies the task, as soon as that is certain; None until then."""
+        """Whether the run satisfies the task, as soon as no sequence of states can change that; None until then."""
         if self._step < 0 or self._open(self._step, self._q):
             return None
-        return bool(self.product.automaton.verdicts(self._step)[self._q] == TRUE)
+        return bool(self._early.verdicts(self._step)[self._q] == TRUE)
 
     @property
     def probability(self) -> float:
@@ -182,7 +183,7 @@ class Runner(Displayed):
         return float(verdict) if verdict is not None else self._values.at(self._step, self._s, self._q)
 
     def _open(self, t: int, q: int) -> bool:
-        return bool(self.product.automaton.verdicts(t)[q] == UNDECIDED)
+        return bool(self._early.verdicts(t)[q] == UNDECIDED)
 
     # ---------------------------------------------------------------------------------------------- which state
 

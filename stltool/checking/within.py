@@ -38,7 +38,7 @@ from stltool.models.fractions import Shares, over_one
 from stltool.models.rows import Stored, spans, starts
 from stltool.numbers import number_text, round_down, round_up
 from stltool.policy import Policy, require_door
-from stltool.product import Product
+from stltool.product import Product, with_early_verdicts
 from stltool.sizes import require_memory
 
 _SHOWN = 10  # rows in a notebook
@@ -159,6 +159,7 @@ def cost_distribution(
     if product.model.parameters:
         product.model.require_points()
     judge, judged = policy.on(product) if policy is not None else (product, None)
+    judge = with_early_verdicts(judge)
     allowance = Allowance.of(judge, cost, most, memory_limit)
     every = allowance.product(judge, every_budget=True)
     largest = allowance.product(judge, every_budget=False)

@@ -19,7 +19,7 @@ from stltool.errors import SizeError
 from stltool.files import MARK
 from stltool.numbers import bound_texts, probability_text
 from stltool.policy import Policy, require_door
-from stltool.product import Product
+from stltool.product import Product, with_early_verdicts
 from stltool.written import memory_names, rules_of
 
 MOST_LINES = 200
@@ -151,6 +151,7 @@ def to_python(product: Product, policy: Policy) -> str:
     require_door("to_python", product, policy)
     facts = _facts(product, policy)
     product, policy = policy.on(product)
+    product = with_early_verdicts(product)
     automaton, model = product.automaton, product.model
     if automaton.n_letters * automaton.n_states > _MOST_MOVES:
         raise SizeError(

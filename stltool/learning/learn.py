@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from stltool.arguments import described, flag, function, real
 from stltool.arguments import path as path_of
 from stltool.automata import TRUE, UNDECIDED
-from stltool.automata.reachable import decided_early
 from stltool.checking import check
 from stltool.checking.statistical import require_confidence
 from stltool.choices import Form
@@ -38,7 +37,7 @@ from stltool.learning.settings import Budget, recorded
 from stltool.learning.trainer import Point, Progress, Status, Trainer
 from stltool.models.environment import BlackBox, Environment, guarded, require_environment, simulator
 from stltool.policy import Policy, require_door, with_flags
-from stltool.product import Product, first_verdicts
+from stltool.product import Product, first_verdicts, with_early_verdicts
 from stltool.randomness import Purpose, generator, require_seed
 from stltool.sizes import require_time
 
@@ -295,8 +294,7 @@ def _decided(product: Product, known_start: bool) -> _Decided | None:
     """Whether every run is decided at its first state; None if one is not."""
     known_start = known_start and product.model.blackbox is None
     states = np.flatnonzero(product.model.initial) if known_start else np.arange(product.model.n_states)
-    automaton = decided_early(product.automaton, product.letter)  # as in `Problem`
-    verdicts = first_verdicts(replace(product, automaton=automaton), states)
+    verdicts = first_verdicts(with_early_verdicts(product), states)  # as in `Problem`
     if (verdicts == UNDECIDED).any():
         return None
     if known_start:

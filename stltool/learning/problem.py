@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stltool.automata import TaskAutomaton
-from stltool.automata.reachable import decided_early
-from stltool.product import Product
+from stltool.product import Product, with_early_verdicts
 from stltool.sizes import IntegerType, integer_type
 
 
@@ -29,8 +28,7 @@ class Problem:
 
     @classmethod
     def of(cls, product: Product) -> Problem:
-        automaton = decided_early(product.automaton, product.letter)
-        return cls(automaton, product.letter, np.diff(product.model.choice_start))
+        return cls(with_early_verdicts(product).automaton, product.letter, np.diff(product.model.choice_start))
 
     @property
     def n_states(self) -> int:

@@ -116,6 +116,48 @@ def test_what_is_paid_and_when(door):
     assert "E[effort] = 3.5, of the policy, until the verdict" in repr(found)
 
 
+@pytest.fixture(scope="module")
+def coin():
+    """Two states that follow each other by chance; the first one has `init` and `b`, the last one `a`."""
+    return stl.MDP.from_arrays([[["1/2", "1/2"]] * 2], {}, labels={"init": [1, 0], "a": [0, 1], "b": [1, 0]}, initial=0)
+
+
+@pytest.mark.parametrize(
+    ("text", "steps"),
+    [
+        ("F[0,2] a | G[0,2] a", Fraction(3, 2)),
+        ("G[0,3] (a -> once[0,5] init)", 0),
+        ("F[0,2] a & (F[0,3] init | G[0,3] !init)", Fraction(3, 2)),
+        ("F[1,1] prev b", 0),
+        ("G[0,1] (a | prev b)", 0),
+        ("F[1,2] (a | !a)", 0),
+        ("F[2,4] true", 0),
+        ("F[0,3] (a & init)", 0),
+    ],
+)
+def test_the_verdict_is_that_of_the_task_whatever_automaton_decides_it(coin, text, steps):
+    """Automata of tasks about the past, and of tautologies, decide later than they could; nothing is paid for that."""
+    past = "once" in text or "prev" in text  # which histories of the future cannot tell
+    for encoding in ("exact",) if past else ("exact", "history"):
+        product = stl.build_product(coin, stl.parse(text), encoding=encoding)
+        found = stl.expected_cost(product, lambda state, action: 1, exact=True)
+        assert found.fraction == steps, encoding
+        free = stl.cost_distribution(product, lambda state, action: 1, 0, exact=True).exactly(0)
+        assert free == (stl.check(product, exact=True).fraction if steps == 0 else 0)
+        runner = stl.Runner(product)
+        runner.act("0")
+        assert (runner.verdict is None) == (steps > 0)
+
+
+@given(cases(), st.booleans())
+@settings(max_examples=many(20))
+def test_costs_do_not_depend_on_the_encoding(case, maximize):
+    product, _ = case
+    other = stl.build_product(product.model, product.formula, encoding="history")
+    lower, upper = (stl.expected_cost(one, "toll", maximize=maximize) for one in (product, other))
+    assert lower.value == pytest.approx(upper.value, abs=1e-11)
+
+
 def test_exactly(door):
     found = stl.expected_cost(door, lambda state, action: Fraction(action == "try", 3), maximize=True, exact=True)
     assert found.fraction == Fraction(7, 12)
