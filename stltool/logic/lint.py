@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import difflib
 import re
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import cast
@@ -39,6 +40,7 @@ from stltool.logic.names import near_names, unquoted
 from stltool.logic.printer import term_text
 from stltool.logic.syntax import INFIXES, SOFT_WORDS, Branch, Document, Token, bare, branches
 from stltool.logic.task import Task
+from stltool.numbers import exact
 from stltool.source import Span
 
 _BINARY = ("iff", "xor", "implies", "or", "and", *INFIXES)
@@ -78,7 +80,8 @@ def conventions(task: Task) -> list[Advice]:
     """Every until of a task whose definition differs between tools, with the text for the other one, in text order.
 
     Also every equality of values that a program would have computed in doubles: of decimals, it hardly ever holds. (The
-    signals of a task on a model are the model's own numbers.)
+    signals of a task on a model are the model's own numbers.) And every comparison with a quotient of numbers that is
+    no double: signals are.
     """
     require(task, Task, "conventions' task")
     found: dict[int, Advice] = {}
@@ -87,7 +90,11 @@ def conventions(task: Task) -> list[Advice]:
         for node in walk(phi):
             if not isinstance(node, Until | Comparison) or node.span is None:
                 continue
-            if told := _until(node) if isinstance(node, Until) else "" if task.model else _equality(node):
+            if isinstance(node, Until):
+                told = _until(node)
+            else:
+                told = _quotient(node) or ("" if task.model else _equality(node))
+            if told:
                 found.setdefault(node.span.start, Advice(node.span, told))
     return sorted(found.values(), key=lambda advice: advice.span.start)
 
@@ -122,6 +129,23 @@ def _equality(phi: Comparison) -> str:
         f"compares decimals exactly, and {_cut(term_text(computed[0]))} that was computed in doubles is hardly ever "
         f"the decimal that the other side prints as; for a tolerance, write {_cut(str(within))}"
     )
+
+
+def _quotient(phi: Comparison) -> str:
+    """What to know about a comparison with a quotient such as 1/3 ("" if there is none, or a double is it)."""
+    for side in (phi.left, phi.right):
+        term = side.arg if isinstance(side, Negate) else side
+        if not isinstance(term, Arithmetic) or term.op != "/":
+            continue
+        left, sign = (term.left.arg, -1) if isinstance(term.left, Negate) else (term.left, 1)
+        if isinstance(left, Number) and isinstance(term.right, Number) and term.right.value:
+            value = sign * exact(left.value) / exact(term.right.value)
+            if abs(value) <= sys.float_info.max and exact(near := float(value)) != value:
+                return (
+                    f"{term_text(term)} is computed exactly, and no double is it: signals that were written so are "
+                    f"{near!r}; to compare with that, write it, or a param: param c = {term_text(term)}"
+                )
+    return ""
 
 
 def _is_computed(term: Term) -> bool:

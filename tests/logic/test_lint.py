@@ -1,6 +1,8 @@
 """Texts that other tools would read differently are told, with the reading that holds here; others are not."""
 
 import itertools
+import re
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -105,6 +107,22 @@ def test_an_equality_of_computed_values_is_told_with_one_that_holds(text, near):
 @pytest.mark.parametrize("text", ["x == 3", "x + 1 == y", "2 * x != 4", "x == y", "abs(x) == max(x, y)", "x * y <= p"])
 def test_an_equality_of_recorded_values_is_not_told(text):
     assert stl.conventions(stl.parse_task(f"r := {text}")) == []
+
+
+@pytest.mark.parametrize("text", ["x >= 1/3", "1 / 3 == x", "x < -2/7", "x > -(2/7)", "x <= 0.1/3"])
+def test_a_quotient_that_no_double_is_is_told_with_the_double_next_to_it(text):
+    """Signals are doubles: one that was written as 1/3 is not a third, and a param is."""
+    for model in ("", 'model "floor.toml"\n'):
+        (note,) = stl.conventions(stl.parse_task(f"{model}r := G[0,2] {text}"))
+        near, quotient = re.search(r"written so are (\S+); .* param c = (.*)$", note.message).groups()
+        numerator, divisor = quotient.split(" / ")
+        assert stl.monitor(
+            stl.parse(f"x == {near}"), {"x": [float(Fraction(numerator) / Fraction(divisor))]}
+        ).verdicts.all()
+        assert not stl.monitor(stl.parse(f"x == {quotient}"), {"x": [float(near)]}).verdicts.any()
+        assert stl.monitor(stl.parse_task(f"param c = {quotient}\nr := x == c"), {"x": [float(near)]}).verdicts.all()
+    for plain in ("x >= 1/4", "x / 3 > 1", "x >= 3/10", "x > 1/0", "x > 1e300 / 1e-300"):
+        assert stl.conventions(stl.parse_task(f"r := {plain}")) == []
 
 
 def test_an_equality_of_computed_doubles_hardly_ever_holds():
