@@ -643,7 +643,7 @@ class MDP(Displayed):
         `given` are the matrices that the rows come from, for entries to be kept exactly.
         """
         n_states = rows.shape[1]
-        n_actions = rows.shape[0] // n_states
+        n_actions = rows.shape[0] // max(n_states, 1)
         _require_numbered(n_states, n_actions)
         names = tuple(_names(action_names, "action_names") or (str(a) for a in range(n_actions)))
         given_names = _names(state_names, "state_names")
@@ -923,13 +923,13 @@ def _initial(
 
 
 def _require_numbered(n_states: int, n_actions: int) -> None:
+    if n_states < 1:
+        raise ModelError("the model has no states")
     require_numbered(n_states, "states", "coarsen the grid, or use a part of the model")
     require_numbered(n_actions, "actions", "give fewer")
 
 
 def _validate(m: MDP) -> None:
-    if m.n_states < 1:
-        raise ModelError("the model has no states")
     _require_numbered(m.n_states, m.n_actions)
     if m.state_names is not None and len(m.state_names) != m.n_states:
         raise ModelError(f"{len(m.state_names)} state names for {m.n_states} states")
@@ -938,6 +938,9 @@ def _validate(m: MDP) -> None:
     for name in (*m.action_names, *m.signals, *m.labels, *m.costs):
         if control := control_character(name):
             raise ModelError(f"the name {name!r} has the control character {control}; rename it")
+    for kind, named_so in (("signal", m.signals), ("label", m.labels), ("cost", m.costs)):
+        if any(not name.strip() for name in named_so):
+            raise ModelError(f"the name of a {kind} is empty; give it one")
     for name, values in (*m.signals.items(), *m.labels.items()):
         if values.shape != (m.n_states,):
             raise ModelError(f"{name} has shape {values.shape}; give one value for each of the {m.n_states} states")

@@ -52,6 +52,10 @@ def test_models_of_the_strategy_are_distributions(model):
         ({"transitions": STAY}, r"shape \(2, 2\); give an array \(A, S, S\) or a list of matrices"),
         ({"transitions": 3}, "must be an array"),
         ({"transitions": []}, "no action"),
+        ({"transitions": np.zeros((1, 0, 0))}, "the model has no states"),
+        ({"signals": {"": [0.0, 1.0]}}, "the name of a signal is empty; give it one"),
+        ({"labels": {" ": [0, 1]}}, "the name of a label is empty; give it one"),
+        ({"costs": {"": [0, 1]}}, "the name of a cost is empty; give it one"),
         ({"transitions": [[["a", 0], [0, 1]]]}, "transitions of action 0 are not numbers"),
         ({"transitions": [[1.0, 0.0]]}, r"give a matrix \(S, S\)"),
         ({"transitions": [STAY * 1j]}, "transitions of action 0 are not numbers"),
@@ -73,6 +77,12 @@ def test_models_of_the_strategy_are_distributions(model):
 def test_bad_arrays_are_refused_with_state_and_action(changes, says):
     with pytest.raises(ModelError, match=says):
         build(**changes)
+
+
+def test_intervals_without_states_are_refused():
+    none = np.zeros((1, 0, 0))
+    with pytest.raises(ModelError, match="the model has no states"):
+        stl.MDP.from_intervals(none, none, {})
 
 
 def test_a_model_does_not_change_behind_its_digest():
