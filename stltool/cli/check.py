@@ -40,8 +40,10 @@ from stltool.cli.steps import (
     make_product,
     moved_policy,
     nature_text,
+    read_params,
     read_probability,
     require_one_policy,
+    require_points,
     resumable,
     this_command,
 )
@@ -292,7 +294,8 @@ def check(
     if cost is not None:
         beside = [(vary is not None, "--vary"), (report is not None, "--report"), *of_p]
         if within is None:
-            beside += [(minimize, "--minimize"), (at_least is not None, "--at-least"), *of_one[1:]]
+            beside += [(minimize, "--minimize"), (at_least is not None, "--at-least"), of_one[2]]
+            beside.append((nature not in (None, "nominal"), "--nature"))
             beside.append((at_most is not None, "--at-most"))
         else:
             beside.append((until is not None, "--until"))
@@ -301,8 +304,11 @@ def check(
             require_policy_file(save_policy)
         budget = read_budget(within) if within is not None else None
         product = load_product(task, model, param, name, encoding, reading=reading)
+        if budget is None and nature is None:
+            require_points(product.model, "--cost")
         chosen = given_policy(product, policy, policy_function)
         if budget is None:
+            product, _ = judge_by(product, nature)
             check_cost(product, chosen, cost, until or "verdict", exact, as_json)
             return
         product, _ = judge_by(product, nature)
@@ -317,7 +323,11 @@ def check(
         raise SettingsError("--until says how long a cost is paid; add --cost NAME, or leave it out")
     if vary is not None:
         _require_none([*of_p, *of_one[1:]], "is for one value of the parameter; leave it or --vary out")
-        product = load_product(task, model, param, name, encoding, reading=reading)
+        (loaded,), world = load_with_model(task, model, param, [name], reading)
+        varied = vary.partition("=")[0].strip()
+        if given is None and varied in read_params(param) and varied not in loaded.params:  # else that of the policy
+            raise SettingsError(f"-p {varied} and --vary {varied} both give {varied} its values; leave one of them out")
+        product = bind(loaded, world, encoding)
         chosen = given_policy(product, policy, policy_function)
         if not check_range(product, chosen, vary, not minimize, exact, bounds, as_json, plot, report):
             raise typer.Exit(1)
@@ -342,6 +352,7 @@ def check(
         r = read_margin(margin) if margin is not None else None
         (loaded,), world = load_with_model(task, model, param, [name], reading)
         world = world.nominal() if nature == "nominal" else world
+        require_points(world, "--robustness")
         chosen = given_policy(bind(loaded, world, encoding), policy, policy_function) if given is not None else None
         if time_shift is not None:
             if not check_timing(loaded, world, chosen, time_shift, r, not minimize, bounds, as_json):
@@ -369,9 +380,8 @@ def check(
     robust = uncertain and nature != "nominal"
     if product.model.parameters and (exact or clockless or streamed or certificate is not None or cluster is not None):
         product.model.require_points()
-    if clockless and robust:
-        option = "--stationary" if stationary else "--memoryless"
-        raise SettingsError(f"{option} needs probabilities without intervals; add --nature nominal")
+    if clockless:
+        require_points(product.model, "--stationary" if stationary else "--memoryless")
     if clockless and streamed:
         raise SettingsError(
             f"--save-policy {save_policy}: policies that do not know the step are saved as .npz, .csv or .json"
@@ -387,8 +397,8 @@ def check(
         raise SettingsError(
             f"--save-policy {save_policy}: for interval probabilities, policies are saved as .npz, .csv or .json"
         )
-    if robust and cluster is not None:
-        raise SettingsError("--cluster needs probabilities without intervals; add --nature nominal")
+    if cluster is not None:
+        require_points(product.model, "--cluster")
     if clockless and cluster is not None:
         raise SettingsError("--cluster is for the optimum and for given policies; leave it or the other option out")
     where = {"cluster": cluster} if cluster is not None else {}

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, cast
 
 from stltool.cli.bounds import WITH_EXACT, Asked, conclude
 from stltool.cli.options import ModelReading
-from stltool.cli.steps import bind, given_policy, load_with_model
+from stltool.cli.steps import bind, given_policy, load_with_model, require_points
 from stltool.errors import PolicyError, SettingsError
 from stltool.numbers import bound_texts, fraction_text, within_text
 
@@ -76,7 +76,7 @@ def check_for_ever(
     if nominal and not world.uncertain:
         raise SettingsError("--nominal: the model's probabilities are not intervals; leave out --nominal")
     world = world.nominal() if nominal else world
-    world.require_points()
+    require_points(world, "--for-ever")
     product = bind(replace(loaded, formula=inner), world, "exact")
     chosen = given_policy(product, policy, policy_function)
     with progress_bar("checking", quiet=as_json):

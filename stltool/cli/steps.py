@@ -22,7 +22,7 @@ from typer.core import TyperCommand
 
 from stltool.arguments import described
 from stltool.cli.options import READ, ModelReading
-from stltool.errors import InexactEncodingWarning, PolicyError, SettingsError, near_misses
+from stltool.errors import InexactEncodingWarning, PolicyError, SettingsError, StlSyntaxError, near_misses
 from stltool.numbers import NumberError, read
 from stltool.streams import say
 
@@ -230,8 +230,13 @@ def load_with_model(
         of_model = {key: value for key, value in params.items() if key not in tasks[0].params}
         world, rest = model_with(model if model is not None else tasks[0].model, of_model, tasks[0], reading)
         known = [one.name for one in world.family.parameters] if world.family is not None else []
-        if not of_model or not set(rest) <= set(known):
+        if not of_model:
             raise  # what the task says
+        if unknown := [key for key in rest if key not in known]:
+            every = [*tasks[0].params, *known, *(of_model.keys() - rest.keys())]
+            raise StlSyntaxError(
+                f"{task}: there is no param {unknown[0]} to override; {near_misses(unknown[0], every)}"
+            ) from None
         given = loaded({key: params[key] for key in params if key not in of_model})
         return given, world.at(**rest) if rest else world
     return tasks, task_model(tasks[0], model, reading)
@@ -252,6 +257,13 @@ def judge_by(product: Product, nature: str | None) -> tuple[Product, Callable[..
     if nature is not None and nature not in NATURES:
         raise SettingsError(f"--nature {nature}: choose {', '.join(NATURES)}")
     return product, partial(stl.robust_check, nature=nature or "against")  # type: ignore[arg-type]  # checked above
+
+
+def require_points(model: MDP, option: str) -> None:
+    """SettingsError, in terms of `stltool check`, unless the probabilities are known numbers."""
+    if model.uncertain and not model.parameters:
+        raise SettingsError(f"{option} needs probabilities without intervals; add --nominal")
+    model.require_points()
 
 
 def model_with(

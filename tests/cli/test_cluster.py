@@ -30,7 +30,7 @@ def test_the_same_answer(address, stltool):
     ("more", "message"),
     [
         (["--exact"], "--exact does not run on a cluster; leave --cluster out"),
-        (["--model", str(FACTORY / "floor-5x5-uncertain.toml")], "add --nature nominal"),
+        (["--model", str(FACTORY / "floor-5x5-uncertain.toml")], "add --nominal"),
         (["--save-policy", "best.policy", "--resume"], "--resume does not run on a cluster"),
     ],
 )

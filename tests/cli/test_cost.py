@@ -52,6 +52,10 @@ def test_within_a_budget_whatever_nature_does(stltool):
         assert code == 0
         lower[nature] = json.loads(out)["lower"][-1]
     assert 0 < lower["against"] < lower["nominal"] < lower["with"] < 1
+    code, out, err = stltool(*asked[:-2])
+    assert (code, out) == (2, "")
+    assert "--cost needs probabilities without intervals; add --nominal" in err
+    assert stltool(*asked[:-2], "--nominal")[0] == 0
 
 
 def test_exact_expected_costs(stltool, floor5):

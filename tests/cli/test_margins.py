@@ -87,7 +87,10 @@ def test_delays_in_both_readings(stltool, tmp_path):
         (["--robustness", "--at-most", "0.5"], "without --margin, --at-most is not supported with --robustness"),
         (["--robustness", "--at-least", "0"], "give a probability above 0 and at most 1"),
         (["--robustness", "--vary", "success=0.5:1"], "--robustness is for one value of the parameter"),
-        (["--robustness", "--model", "floor-5x5-uncertain.toml"], "the model's probabilities are intervals"),
+        (
+            ["--robustness", "--model", "floor-5x5-uncertain.toml"],
+            "--robustness needs probabilities without intervals; add --nominal",
+        ),
         (["--robustness", "--model", "floor-5x5-p.toml"], "depend on p, without a value"),
     ],
 )

@@ -35,7 +35,9 @@ def test_p_gives_a_parameter_of_the_model_its_value(stltool):
     [
         (["-p", "p=0.3"], "p = 0.3 lies outside its domain [0.5, 1]"),
         (["-p", "q=0.3"], "there is no param q to override"),
-        (["-p", "q=0.3", "-p", "p=0.6"], "there is no param"),
+        (["-p", "zzz=0.3", "-p", "p=0.6"], "there is no param zzz to override; known names: T, p, tau"),
+        (["-p", "q=0.3", "-p", "p=0.6"], "there is no param q to override"),
+        (["-p", "p=0.7", "--vary", "p=0.6:0.8"], "-p p and --vary p both give p its values; leave one of them out"),
         (["--exact"], "the probabilities of floor-5x5-p depend on p, without a value"),
         (["--vary", "p"], "--vary p: write a parameter and its range, for example --vary p=0.5:1"),
         (["--vary", "p=0.5:x"], "--vary p=0.5:x: 'x' is not a number"),
