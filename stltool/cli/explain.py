@@ -184,7 +184,9 @@ def _shown(facts: Mapping[str, Any]) -> dict[str, Any]:
         if not isinstance(value, dict | list) and "digest" not in key
     }
     if shown["horizon"] is None:
-        shown["horizon"] = shown["samples needed"] = "none: an interval has no end; only monitors can judge this"
+        shown["horizon"] = shown["samples needed"] = (
+            "none: an interval has no end; only monitors and check --for-ever judge this"
+        )
         shown["meaning"] = "not analysed: the formula has no horizon"
     if shown.get("transitions", 0) is None:
         shown["transitions"] = "unknown: the model is a black box"

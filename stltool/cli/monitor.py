@@ -146,7 +146,7 @@ def monitor(
     """
     import stltool as stl
     from stltool.gate import counted_over
-    from stltool.logic.formula import label_names, variables
+    from stltool.logic.formula import is_bounded, label_names, variables
     from stltool.monitoring.coverage import Coverage
     from stltool.monitoring.logs import Reading
     from stltool.reporting import monitor_report, require_report, write_monitor_picture, write_report
@@ -189,6 +189,11 @@ def monitor(
             raise SettingsError(f"--follow prints verdicts as they come; {option} needs the whole trace: leave one out")
         if len(traces) > 1:
             raise SettingsError(f"--follow reads one trace as it grows; {len(traces)} files are given: name one")
+        if not is_bounded(loaded.formula):
+            raise SettingsError(
+                f"{loaded.formula}: --follow needs intervals with an end, such as G[0,10]; leave out --follow to judge "
+                "a whole trace, with --end cut or hold"
+            )
         follow(loaded, traces[0], reading, end, at, steps, as_json)
         return
     judged = []

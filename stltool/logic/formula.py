@@ -108,7 +108,7 @@ Term: TypeAlias = Number | Variable | Negate | Arithmetic | Call
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """The steps a, a+1, …, b; without b, up to the end of the trace, which only monitors can judge."""
+    """The steps a, a+1, …, b; without b, without end: for monitors and `check --for-ever`."""
 
     a: int
     b: int | None
@@ -444,7 +444,8 @@ def _horizon(phi: Formula) -> int:
             if interval.b is None:
                 message = (
                     f"{_OPERATOR_WORDS[type(phi)]} has no interval with an end, hence no horizon; write one, such as "
-                    f"[{interval.a},{interval.a + 10}] (only monitors can judge it as it is, with end cut or hold)"
+                    f"[{interval.a},{interval.a + 10}] (as it is, only monitors of whole traces judge it, with end cut "
+                    "or hold, and check --for-ever)"
                 )
                 raise StlSyntaxError(phi.span.show(message) if phi.span is not None else message)
             return interval.b + max(below)

@@ -304,9 +304,9 @@ def _with_names(source: Source, tokens: list[Token]) -> tuple[list[Token], list[
     return found, faults
 
 
-def _declared(tokens: Sequence[Token]) -> set[str]:
-    """The names that definitions, params and signal lines give."""
-    names: set[str] = set()
+def _declared(tokens: Sequence[Token]) -> dict[str, Token]:
+    """The names that definitions, params and signal lines give, with their tokens there."""
+    names: dict[str, Token] = {}
     line = ""
     for i, token in enumerate(tokens):
         follows = tokens[i + 1].type if i + 1 < len(tokens) else "$END"
@@ -314,7 +314,7 @@ def _declared(tokens: Sequence[Token]) -> set[str]:
             line = token.type
         first = tokens[i - 1].type in (line, "COMMA") if i else False
         if follows == "ASSIGN" or (line == "_PARAM" and first and follows == "EQUAL") or (line == "_SIGNAL" and first):
-            names.add(str(token))
+            names.setdefault(str(token), token)
     return names
 
 
@@ -366,7 +366,11 @@ def _foreign(source: Source, place: int) -> str:
     elif character.isalpha():
         start = re.search(r"\w*$", before)
         word = (start.group() if start else "") + _glued(source.text, place)
-        message = f'a name cannot contain {shown} unless it is in quotes; write "{word}"'
+        behind = source.text[place + len(_glued(source.text, place)) :]
+        if re.match(r"[ \t]*:=", behind) or (before.split()[:1] == ["param"] and "=" not in before):
+            message = f"the name of a definition or a param cannot contain {shown}; use a-z, A-Z, 0-9 and _"
+        else:
+            message = f'a name cannot contain {shown} unless it is in quotes; write "{word}"'
     elif character == ".":
         message = "unexpected dot; dots occur in numbers, such as 0.5, and in intervals, such as [0..5]"
     elif not character.isascii() and character.isnumeric():
@@ -487,7 +491,7 @@ def _unexpected(source: Source, machine: InteractiveParser, tokens: Sequence[Tok
         found, span = f"the {'text' if whole else 'statement'} ends here", Span(source, place, place + 1)
     bracket, instead = _bracket_hint(source, tokens, i, accepted)
     if not instead:
-        hint = _hint(tokens, i, accepted) or "expected " + _expected(accepted)
+        hint = _hint(source, tokens, i, accepted) or "expected " + _expected(accepted)
         bracket = f"{hint}; {bracket}" if bracket else hint
     return span.show(f"{found}; {bracket}")
 
@@ -522,7 +526,7 @@ def _all_closed(tokens: Sequence[Token], i: int) -> bool:
     return depth <= 0
 
 
-def _hint(tokens: Sequence[Token], i: int, accepted: set[str]) -> str | None:
+def _hint(source: Source, tokens: Sequence[Token], i: int, accepted: set[str]) -> str | None:
     """What to write instead, for common slips."""
     token = tokens[i] if i < len(tokens) else None
     kind = token.type if token is not None else "$END"
@@ -534,6 +538,9 @@ def _hint(tokens: Sequence[Token], i: int, accepted: set[str]) -> str | None:
     if kind in ("COMMA", "COLON", "_DOTS") and opened > 0 and tokens[opened].type == "LSQB":
         word = tokens[opened - 1]
         if word.type == "NAME":
+            if str(word) in SOFT_WORDS and (given := _declared(_tokens(source)[0]).get(str(word))) is not None:
+                line = _span(source, given).line
+                return f"{word} is a name in this file, as line {line} defines it; rename it there to use the operator"
             close = difflib.get_close_matches(str(word).rstrip("_"), _TEMPORAL_WORDS, n=1, cutoff=0.7)
             known = f"did you mean {close[0]}?" if close else "F, G, U and their words do"
             return _elsewhere(tokens, opened - 1) or f"{word} does not take an interval; {known}"

@@ -309,7 +309,7 @@ def test_explain_tells_what_may_be_misread_and_what_has_no_horizon(stltool, tmp_
     path.write_text("step = 0.5s\nr := G[0,2s] a & b or always c\n")
     code, out, _ = stltool("explain", path)
     assert code == 0
-    assert "none: an interval has no end; only monitors can judge this" in out
+    assert "none: an interval has no end; only monitors and check --for-ever judge this" in out
     assert "not analysed: the formula has no horizon" in out
     assert "└── G[0,inf)\n    └── c\n" in out
     assert "warning: " in out
@@ -377,7 +377,7 @@ def test_a_formula_may_have_times(stltool, tmp_path):
     assert stltool("monitor", "F[0,2s] a", trace, "--step", "1s")[0] == 1
     assert stltool("monitor", "eventually a", trace, "--end", "cut")[0] == 0
     code, _, err = stltool("monitor", "eventually a", trace)
-    assert (code, "only monitors can judge it as it is, with end cut or hold" in err) == (2, True)
+    assert (code, "only monitors of whole traces judge it, with end cut or hold" in err) == (2, True)
 
 
 def test_a_param_is_given_once(stltool):

@@ -79,6 +79,14 @@ def test_what_cannot_be_followed(stltool, typed, text, options, says):
     assert says in err
 
 
+def test_intervals_without_an_end_are_not_followed(stltool, typed):
+    for end in ("error", "cut", "hold"):
+        typed(LOG)
+        code, out, err = stltool("monitor", "G x > 0", "-", "--follow", "--end", end)
+        assert (code, out) == (2, "")
+        assert "G[0,inf) (x > 0): --follow needs intervals with an end, such as G[0,10]; leave out --follow" in err
+
+
 def test_times_are_held_against_the_step(stltool, typed):
     typed("t [ms],x\n0,1\n100,1\n200.5,-1\n300,3\n")
     code, out, err = stltool("monitor", "G[0,1s] x > 0", "-", "--follow", "--step", "0.1s")

@@ -185,7 +185,7 @@ def test_slips_are_refused_with_a_sentence(slip, says):
 def test_an_interval_without_end_is_for_monitors():
     phi = stl.G(x < 0.9, 0, None)
     assert stl.parse(str(phi), unbounded=True) == phi
-    with pytest.raises(StlSyntaxError, match="only monitors can judge it"):
+    with pytest.raises(StlSyntaxError, match="only monitors of whole traces judge it"):
         stl.horizon(phi)
     assert stl.monitor(phi, {"x": [0.5, 0.95, 0.5]}, end="cut").verdicts.tolist() == [False, False, True]
 

@@ -332,7 +332,7 @@ def test_options_that_do_not_exist():
         stl.monitor(stl.parse("a"), {"a": [1]}, end="stop")
     with pytest.raises(SettingsError, match="semantics is 'truth'; choose both, boolean or robustness"):
         stl.monitor(stl.parse("a"), {"a": [1]}, semantics="truth")
-    with pytest.raises(StlSyntaxError, match="only monitors can judge it as it is, with end cut or hold"):
+    with pytest.raises(StlSyntaxError, match="only monitors of whole traces judge it, with end cut or hold"):
         stl.monitor(Eventually(Interval(0, None), stl.parse("a")), {"a": [1]})
     with pytest.raises(ArgumentError, match="parse it: stl.parse"):
         stl.monitor("a", {"a": [1]})
