@@ -33,6 +33,8 @@ def read_bytes(path: str | Path, what: str) -> bytes:
         return Path(path).read_bytes()
     except FileNotFoundError:
         raise FileError(f"{path}: there is no such {what}") from None
+    except IsADirectoryError:
+        raise FileError(f"{path}: this is a folder, not a {what}") from None
     except OSError as error:
         raise FileError(f"{path}: this {what} cannot be read: {error.strerror}") from None
 

@@ -501,7 +501,9 @@ def _frontier(found: list[_Tree]) -> tuple[tuple[int, float], ...]:
 def _fitted(situations: _Situations, trees: Any, regret: Floats, weight: Floats, cut: float, size: int) -> _Tree:
     """A tree that separates situations with different good actions."""
     seen = np.flatnonzero(weight)
-    fitted = trees.DecisionTreeRegressor(max_leaf_nodes=max(size, 2), random_state=0)
+    fitted = trees.DecisionTreeRegressor(  # which has no such limit below 2, but may leave the root whole
+        max_leaf_nodes=max(size, 2), min_samples_split=2 if size > 1 else len(seen) + 1, random_state=0
+    )
     fitted.fit(situations.x[seen], np.minimum(regret[seen] / cut, 1.0), sample_weight=weight[seen])
     inner = fitted.tree_
     leaf = fitted.apply(situations.x)

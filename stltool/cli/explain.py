@@ -157,7 +157,7 @@ def _explain_policy(
         "task": f"{product.task_name} := {product.formula}",
         "policy": policy or policy_function or "maximum over all policies",
         "P": probability_text(found.given.probability),
-        "tree": f"{found.leaves} leaves",
+        "tree": "1 leaf" if found.leaves == 1 else f"{found.leaves} leaves",
         "P of it": f"{probability_text(found.check.probability)}, {lost:.3g} less; "
         + ("within the price" if found.met else f"more than {found.price:g}; raise --most-leaves or the price"),
         **({"plot": plot} if plot is not None else {}),

@@ -26,7 +26,7 @@ from stltool.cli.options import (
 )
 from stltool.cli.roles import Reads, Writes
 from stltool.cli.steps import load_task_or_formula, this_command
-from stltool.errors import SettingsError, StlToolError
+from stltool.errors import SettingsError, StlToolError, TraceError
 from stltool.streams import say
 
 if TYPE_CHECKING:
@@ -56,7 +56,8 @@ class Judged:
             result = stl.monitor(task, log.signals, end=end)  # type: ignore[arg-type]  # checked before
             return cls(result, log.signals, monitor_data(result, task, log.where, at, log.timing.says))
         except StlToolError as error:
-            raise type(error)(f"{log.where}: {error}") if several else error from None
+            of_this = several or isinstance(error, TraceError)
+            raise type(error)(f"{log.where}: {error}") if of_this else error from None
 
 
 def shown_of(judged: list[Judged], shown: int | None) -> tuple[MonitorResult, Signals, int | None]:

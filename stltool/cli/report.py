@@ -10,6 +10,7 @@ import typer
 from stltool.cli.app import app
 from stltool.cli.options import AsJson
 from stltool.cli.roles import Reads, Writes, beside
+from stltool.errors import FileError
 
 
 @app.command("stltool report out/first/report.json")
@@ -27,6 +28,9 @@ def report(
     from stltool.reporting.page import read_report
     from stltool.reporting.terminal import print_facts, print_json
 
+    for path in data:
+        if path.is_dir():
+            raise FileError(f"{path}: this is a folder; name its data, such as {path / 'report.json'}")
     pages = [path.with_suffix(".html") for path in data]
     texts = [read_report(path)[1] for path in data]
     for page in pages:

@@ -572,6 +572,15 @@ class Builder:
         if name in self.faulty and name not in self.params:
             raise _PassedOver
 
+    def given_later(self, name: str, tree: Branch) -> int | None:
+        """The line of a param behind a place that uses it."""
+        for line in self.trees:
+            for part in branches(line) if line.data == "params" else []:
+                token = cast(Token, part.children[0])
+                if str(token) == name and cast(int, token.start_pos) > tree.meta.start_pos:
+                    return self.span(token).line
+        return None
+
     def comparator(self, token: Branch | Token) -> Comparator:
         return cast(Comparator, _COMPARATOR_SPELLINGS.get(str(token), str(token)))
 
@@ -857,6 +866,8 @@ class Builder:
                     self.pass_over(name)
                     if name in self.definitions:
                         self.fail(tree, f"{name} is a definition; for a number in bounds, write param {name} = …")
+                    if (later := self.given_later(name, tree)) is not None:
+                        self.fail(tree, f"{name} is a param of line {later}, which comes later; move it up")
                     close = near_misses(name, self.params)
                     given = f"give it a value: param {name} = {self.example}"
                     known = close if close.startswith("did") else f"{given}; {close}" if self.params else given

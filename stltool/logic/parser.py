@@ -173,9 +173,9 @@ def _build_formula(
 ) -> Task:
     values = {**params, **_exact(more)}
     for param in sorted(values.keys() - document.names):
-        raise StlSyntaxError(
-            f"{document.source.name}: this formula has no param {param}; {near_misses(param, document.names)}"
-        )
+        close = near_misses(param, document.names)
+        told = close if close.startswith("did") else "no such name occurs in it"
+        raise StlSyntaxError(f"{document.source.name}: this formula has no param {param}; {told}")
     builder = Builder(document.source, values, step=step, unit=unit, unbounded=unbounded, lines=False)
     formula = builder.whole_formula(document.trees[0])
     builder.require_shallow(formula)

@@ -43,8 +43,8 @@ def load_model(
     `.toml` is a grid world (models/grid.py), a Gymnasium environment (models/gymnasium/file.py) or a composition of
     model files (models/composition.py), depending on its `kind`; `.tra` and `.tra.gz` are PRISM's explicit format, or
     Storm's (models/formats/explicit.py), `.umb` is the unified Markov binary format (models/formats/umb.py), `.drn` and
-    `.drn.gz` are Storm's text format (models/formats/drn.py); `.prism`, `.pm`, `.nm` and `.jani` are programs, which
-    Storm builds (models/formats/language.py).
+    `.drn.gz` are Storm's text format (models/formats/drn.py); `.prism`, `.pm`, `.nm`, `.sm` and `.jani` are programs,
+    which Storm builds (models/formats/language.py).
 
     normalize  rescale probabilities that miss a sum of 1 by at most 1/1000, as `MDP.from_arrays` does; so does the key
                `normalize = true` of a TOML file
@@ -79,6 +79,8 @@ def _load(path: Path, loading: Loading, opened: _Opened) -> MDP:
     if loader is None:
         if not os.path.exists(path):
             raise FileError(f"{path}: there is no such model file")
+        if os.path.isdir(path):
+            raise FileError(f"{path}: this is a folder; name a model file")
         known = ", ".join((".toml", *_LOADERS))
         raise FileError(f"{path}: no model format has the extension {path.suffix!r}; known extensions: {known}")
     return loader(path, loading)

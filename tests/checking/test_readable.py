@@ -148,6 +148,11 @@ def test_where_few_leaves_do_not_suffice_it_says_so(patrolling):
     assert tree.leaves <= 3
 
 
+def test_a_tree_of_one_leaf_takes_one_action(patrolling):
+    tree = stl.policy_tree(patrolling, price=1e-6, most_leaves=1)
+    assert (tree.leaves, tree.met, len(tree.curve)) == (1, False, 1)
+
+
 def test_a_task_that_the_first_state_decides(floor5):
     product = stl.build_product(floor5, stl.parse("!A"))
     tree = stl.policy_tree(product)

@@ -483,6 +483,8 @@ def test_other_bad_input_ends_with_code_2(stltool, tmp_path):
         (["learn", PATROLLING, *SMALL, "-e", "1", "--out", tmp_path / "q.txt"], "policies are saved as .npz"),
         (["learn", PATROLLING, *SMALL, "-e", "1", "--out", tmp_path], "not a regular file"),
         (["report", no_model], "not the JSON file of a report"),
+        (["report", tmp_path], f"this is a folder; name its data, such as {tmp_path / 'report.json'}"),
+        (["check", no_model, "--model", tmp_path], "this is a folder; name a model file"),
         (["check"], "Missing argument"),
         (["chek", PATROLLING], "No such command"),
     ]

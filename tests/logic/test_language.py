@@ -293,6 +293,9 @@ REFUSED = [
     ("r := F[0,٣] A", "use the digits 0 to 9"),
     ("größe := x > 3", "the name of a definition or a param cannot contain 'ö'; use a-z, A-Z, 0-9 and _"),
     ("param größe = 3", "the name of a definition or a param cannot contain 'ö'"),
+    ("r := F[0,n] A\nparam n = 2", "n is a param of line 2, which comes later; move it up"),
+    ("param T = n, n = 2\nr := F[0,T] A", "n is a param of line 1, which comes later; move it up"),
+    ("param n = n\nr := F[0,n] A", "n is not a param; give it a value"),
     ("once := A\nr := once & once[0,1] A", "once is a name in this file, as line 1 defines it; rename it there"),
     ("r := größe > 3", "a name cannot contain 'ö' unless it is in quotes; write \"größe\""),
     ("r := car. > 3", "unexpected dot; in a name, a letter follows it, as in car.speed"),
@@ -424,7 +427,7 @@ def test_numbers_defined_from_each_other_do_not_explode():
 
 
 def test_values_for_names_that_a_formula_does_not_have_are_refused():
-    with pytest.raises(StlSyntaxError, match="this formula has no param G; known names: x, y"):
+    with pytest.raises(StlSyntaxError, match="this formula has no param G; no such name occurs in it"):
         stl.parse("G[0,5] (x > y)", params={"G": 3})
     with pytest.raises(StlSyntaxError, match="this formula has no param Q"):
         stl.parse("F[0,5] a", params={"Q": 3})

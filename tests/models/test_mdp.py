@@ -101,6 +101,8 @@ def test_model_files_are_told_by_their_ending(tmp_path):
     (tmp_path / "model.xyz").write_text("")
     with pytest.raises(FileError, match="no model format has the extension '.xyz'"):
         stl.load_model(tmp_path / "model.xyz")
+    with pytest.raises(FileError, match="this is a folder; name a model file"):
+        stl.load_model(tmp_path)
 
 
 @given(model=mdps(), seed=st.integers(0, 2**32 - 1))

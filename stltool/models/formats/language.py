@@ -1,4 +1,4 @@
-"""Models in PRISM's language (.prism, .pm, .nm) and in JANI (.jani): Storm builds them, through its package stormpy.
+"""Models in PRISM's language (.prism, .pm, .nm, .sm) and in JANI (.jani): Storm builds them, through stormpy.
 
 The state space is built in rational arithmetic and read as Storm writes it down, in DRN (formats/drn.py): probabilities
 are exact, the variables of states become signals, labels labels, reward structures costs. Constants that the file

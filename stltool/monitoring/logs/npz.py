@@ -55,9 +55,9 @@ def read_npz(path: Path, asked: Asked) -> Recording:
 
     def at(name: str, index: tuple[int, ...]) -> str:
         *trace, step = index
-        return f"{path}, array {name}, " + (f"trace {trace[0]}, step {step}" if trace else f"step {step}")
+        return f"array {name}, " + (f"trace {trace[0]}, step {step}" if trace else f"step {step}")
 
-    return filled(Recording(signals, times, clock), asked.missing, at)
+    return filled(Recording(signals, times, clock), asked.missing, str(path), at)
 
 
 def _require_signals(where: str, wanted: list[str], heads: dict[str, tuple[tuple[int, ...], np.dtype[Any]]]) -> None:

@@ -55,9 +55,9 @@ def read_parquet(path: Path, asked: Asked) -> Recording:
     clock = f"column {column.name}" if column is not None else None
 
     def at(name: str, index: tuple[int, ...]) -> str:
-        return f"{path}, row {index[-1] + 1}, column {name}"
+        return f"row {index[-1] + 1}, column {name}"
 
-    return filled(Recording(signals, times, clock, missing), asked.missing, at)
+    return filled(Recording(signals, times, clock, missing), asked.missing, str(path), at)
 
 
 def _is_numeric(pa: Any, kind: Any) -> bool:

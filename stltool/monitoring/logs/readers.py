@@ -145,7 +145,7 @@ def _of_others(path: Path, extension: str, asked: Asked) -> Recording:
         missing = {name: none for name, none in found.missing.items() if name in kept}
         found = replace(found, signals=kept, missing=missing)
     _require_arrays(path, found)
-    return filled(found, asked.missing, lambda name, index: f"{path}, signal {name}, {found.place(index[-1])}")
+    return filled(found, asked.missing, str(path), lambda name, index: f"signal {name}, {found.place(index[-1])}")
 
 
 def _require_arrays(path: Path, found: Recording) -> None:

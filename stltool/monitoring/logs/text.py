@@ -209,7 +209,7 @@ class _Table:
             else:
                 times = columns.time.seconds(read.values[columns.time.name], where)
         rec = Recording(signals, times, self.clock, read.missing, first)
-        return filled(rec, self.asked.missing, lambda name, index: f"{where}, {rec.place(index[-1])}, column {name}")
+        return filled(rec, self.asked.missing, where, lambda name, index: f"{rec.place(index[-1])}, column {name}")
 
     def _dates(self, texts: list[str], first: int | None) -> NDArray[np.datetime64]:
         assert self.columns.time is not None

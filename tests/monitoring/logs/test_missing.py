@@ -26,7 +26,7 @@ def test_npz(tmp_path):
     x = np.array([[1, np.nan, 3], [4, 5, np.nan]])
     path = npz(tmp_path / "b.npz", x=x)
     assert stl.load_trace(path, missing="hold")["x"].tolist() == [[1, 1, 3], [4, 5, 5]]
-    with pytest.raises(TraceError, match="x has samples without a value in a batch, whose traces must be"):
+    with pytest.raises(TraceError, match=r"b\.npz: x has samples without a value in a batch, whose traces must be"):
         stl.load_trace(path, missing="drop")
     with pytest.raises(TraceError, match="array x, trace 1, step 0: no value, and none before it to hold"):
         stl.load_trace(npz(tmp_path / "c.npz", x=x[:, ::-1] * [[1], [1]]), missing="hold")
