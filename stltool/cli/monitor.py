@@ -26,7 +26,7 @@ from stltool.cli.options import (
 )
 from stltool.cli.roles import Reads, Writes
 from stltool.cli.steps import load_task_or_formula, this_command
-from stltool.errors import SettingsError, StlToolError, TraceError
+from stltool.errors import SettingsError, StlToolError, TraceError, marked
 from stltool.streams import say
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ class Judged:
             return cls(result, log.signals, monitor_data(result, task, log.where, at, log.timing.says))
         except StlToolError as error:
             of_this = several or isinstance(error, TraceError)
-            raise type(error)(f"{log.where}: {error}") if of_this else error from None
+            raise type(error)(f"{log.where}: {marked(error)}") if of_this else error from None
 
 
 def shown_of(judged: list[Judged], shown: int | None) -> tuple[MonitorResult, Signals, int | None]:

@@ -212,7 +212,7 @@ def test_bad_input_ends_with_code_2(stltool, log, batch, tmp_path, monkeypatch):
         (["G[0,1] " * 60 + "x >", log], "formula, line 1"),  # too long for a file's name
         (["task.stl", log, "--task", "bonded"], "there is no definition bonded; did you mean bounded?"),
         (["task.stl", log, "-p", "T=3"], "there is no param T to override"),
-        (["task.stl", log, "--task", "bounded"], "the traces have 5 samples; this formula needs 10"),
+        (["task.stl", log, "--task", "bounded"], "(its horizon is 9); give longer ones, or --end cut"),
         (["x > 0", log, "--task", "a"], "--task a: a formula has no definitions to choose from; leave out --task"),
         (["x > 0", log, "-p", "T=3"], "formula: this formula has no param T; no such name occurs in it"),
         (["x > T0", log, "-p", "T=3"], "formula: this formula has no param T; did you mean T0?"),
