@@ -938,7 +938,7 @@ def _validate(m: MDP) -> None:
     for name in (*m.action_names, *m.signals, *m.labels, *m.costs):
         if control := control_character(name):
             raise ModelError(f"the name {name!r} has the control character {control}; rename it")
-    for kind, named_so in (("signal", m.signals), ("label", m.labels), ("cost", m.costs)):
+    for kind, named_so in (("signal", m.signals), ("cost", m.costs)):
         if any(not name.strip() for name in named_so):
             raise ModelError(f"the name of a {kind} is empty; give it one")
     for name, values in (*m.signals.items(), *m.labels.items()):

@@ -54,7 +54,6 @@ def test_models_of_the_strategy_are_distributions(model):
         ({"transitions": []}, "no action"),
         ({"transitions": np.zeros((1, 0, 0))}, "the model has no states"),
         ({"signals": {"": [0.0, 1.0]}}, "the name of a signal is empty; give it one"),
-        ({"labels": {" ": [0, 1]}}, "the name of a label is empty; give it one"),
         ({"costs": {"": [0, 1]}}, "the name of a cost is empty; give it one"),
         ({"transitions": [[["a", 0], [0, 1]]]}, "transitions of action 0 are not numbers"),
         ({"transitions": [[1.0, 0.0]]}, r"give a matrix \(S, S\)"),
