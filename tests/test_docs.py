@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+import stltool as stl
 from stltool import cli
 from tests.conftest import ROOT
 from tests.test_claims import BOOK
@@ -39,7 +40,10 @@ def folder(tmp_path, monkeypatch):
     (tmp_path / "examples").symlink_to(ROOT / "examples", target_is_directory=True)
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)  # programs import others that the page has its reader save
-    return tmp_path
+    before = set(stl.trace_readers)
+    yield tmp_path
+    for kind in set(stl.trace_readers) - before:  # a page's own, which no other test knows
+        del stl.trace_readers[kind]
 
 
 def claimed(page):
