@@ -62,8 +62,8 @@ class Runner(Displayed):
         if shield is not None:
             shield.require_for(product)
         self._shield = shield
-        self.product, self.policy = given.on(product)
-        self._early = with_early_verdicts(self.product).automaton
+        product, self.policy = given.on(product)
+        self.product = with_early_verdicts(product)
         self._states = StateLookup(product.model)
         self._values = _Values(self.product, self.policy)
         self._text = with_names(product.definitions)
@@ -162,7 +162,7 @@ class Runner(Displayed):
         """Whether the run satisfies the task, as soon as no sequence of states can change that; None until then."""
         if self._step < 0 or self._open(self._step, self._q):
             return None
-        return bool(self._early.verdicts(self._step)[self._q] == TRUE)
+        return bool(self.product.automaton.verdicts(self._step)[self._q] == TRUE)
 
     @property
     def probability(self) -> float:
@@ -183,7 +183,7 @@ class Runner(Displayed):
         return float(verdict) if verdict is not None else self._values.at(self._step, self._s, self._q)
 
     def _open(self, t: int, q: int) -> bool:
-        return bool(self._early.verdicts(t)[q] == UNDECIDED)
+        return bool(self.product.automaton.verdicts(t)[q] == UNDECIDED)
 
     # ---------------------------------------------------------------------------------------------- which state
 

@@ -307,11 +307,10 @@ def check(
         if budget is None and nature is None:
             require_points(product.model, "--cost")
         chosen = given_policy(product, policy, policy_function)
+        product, _ = judge_by(product, nature)
         if budget is None:
-            product, _ = judge_by(product, nature)
             check_cost(product, chosen, cost, until or "verdict", exact, as_json)
             return
-        product, _ = judge_by(product, nature)
         within_it = check_within(
             product, chosen, cost, budget, not minimize, exact, "with" if nature == "with" else "against", bounds,
             save_policy, as_json,

@@ -10,7 +10,6 @@ SSE2. Products and sums are not contracted into one rounding, so results are the
     select               x where the mask holds, y elsewhere             mask          a byte, bit i for lane i
     narrow_where         arr[i …] = integers, where the mask holds, in the array's own type
     any_bit              whether any lane is not 0           greatest      of the eight numbers, none of them NaN
-    first_equal          the first lane that equals a number; 64 if none does
     ceil_div             ⌈x / d⌉ of integers without a division, since processors have no vector division
     popcount, trailing   of one 64-bit word; `trailing` of 0 is undefined
 
@@ -210,16 +209,6 @@ def greatest(typing, x):
         return builder.extract_element(found, ir.IntType(32)(0))
 
     return x.elem(x), generate
-
-
-@intrinsic
-def first_equal(typing, x, number):
-    def generate(context, builder, sig, args):
-        all_of_it = _all_lanes(builder, context.get_value_type(sig.args[0]), args[1])
-        equal = builder.bitcast(builder.fcmp_ordered("==", args[0], all_of_it), _BYTE)
-        return builder.cttz(builder.zext(equal, _WORD), _BIT(0))
-
-    return types.int64(x, x.elem), generate
 
 
 @intrinsic
